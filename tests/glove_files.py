@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from scipy.spatial.transform import Rotation
 
 from geort_drake.people.human_hand import HumanHand
@@ -128,29 +129,47 @@ THUMB = [f"thumb_{j}" for j in ("cmc", "mcp", "ip", "tip")]
 FROM_WRIST_25 = ["wrist", *THUMB, *(joint for finger in FINGERS for joint in with_bases(finger))]
 
 
+def read_contents(path: Path) -> Any:
+    """Returns what a file of ours holds; its ending says how."""
+    match path.suffix:
+        case ".npz":
+            return dict(np.load(path))
+        case ".npy":
+            return np.load(path)
+        case ".jsonl":
+            return [json.loads(line) for line in path.read_text().splitlines()]
+        case ".pkl":
+            return pickle.loads(path.read_bytes())  # noqa: S301 (our own file)
+    return yaml.safe_load(path.read_text()) if path.suffix == ".yaml" else json.loads(path.read_text())
+
+
+def write_contents(path: Path, contents: Any) -> None:
+    """Writes a file; its ending says how."""
+    match path.suffix:
+        case ".npz":
+            np.savez(path, **contents)
+        case ".npy":
+            np.save(path, contents)
+        case ".jsonl":
+            path.write_text("".join(json.dumps(line) + "\n" for line in contents))
+        case ".pkl":
+            path.write_bytes(pickle.dumps(contents))
+        case _:
+            path.write_text((yaml.safe_dump if path.suffix == ".yaml" else json.dumps)(contents))
+
+
 def writer(name: str, contents_of: Callable[[Hand], Any]):
     """Makes a function that writes what another makes of a hand, or other contents that are given.
 
-    The ending says how. Fields of an .npz file can be replaced by name; those given as None are left out.
+    Fields of an .npz file can be replaced by name; those given as None are left out.
     """
 
     def write(folder: Path, hand: Hand, contents: Any = None, **fields) -> Path:
-        path = folder / name
         contents = contents_of(hand) if contents is None else contents
-        match path.suffix:
-            case ".npz":
-                np.savez(
-                    path, **{key: value for key, value in (contents | fields).items() if value is not None}
-                )
-            case ".npy":
-                np.save(path, contents)
-            case ".json":
-                path.write_text(json.dumps(contents))
-            case ".jsonl":
-                path.write_text("".join(json.dumps(frame) + "\n" for frame in contents))
-            case ".pkl":
-                path.write_bytes(pickle.dumps(contents))
-        return path
+        if fields:
+            contents = {key: value for key, value in (contents | fields).items() if value is not None}
+        write_contents(folder / name, contents)
+        return folder / name
 
     return write
 

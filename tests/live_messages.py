@@ -4,11 +4,11 @@ import json
 
 import numpy as np
 
+from geort_drake import synthesize_play
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.web.hands import _VIEW_RAD
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import mirrored
-from geort_drake.people.play import synthesize_play
 
 
 class Inbox:

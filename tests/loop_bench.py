@@ -1,12 +1,11 @@
 """What live use runs, in steps: the page's simulation on a clock that stands, and the arm by itself."""
 
 import numpy as np
-from faults.bench import Watch
 from live_messages import Clock
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from system_bench import SystemBench
+from system_bench import SystemBench, Watch
 
 from geort_drake import WristToArm, load_hand, load_scenario
 from geort_drake.live.glove_stream import GloveStream

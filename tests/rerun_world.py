@@ -14,7 +14,7 @@ from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 from pydrake.trajectories import PiecewisePolynomial
 from rerun.chunk import RrdReader
 
-from geort_drake.rerun import add_rerun_recorder
+from geort_drake import add_rerun_recorder
 
 GRAVITY = 9.81
 MASS = 0.2

@@ -1,12 +1,16 @@
-"""Steps a system or a diagram alone."""
+"""Steps a system or a diagram alone, and checks its commands."""
 
 import copy
 from typing import Any
 
 import numpy as np
+from faults.sound import JOINTS, LOWER, UPPER, smooth_retargeter
 from pydrake.common.value import AbstractValue
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import PortDataType, System
+
+from geort_drake import RetargetingSystem
+from geort_drake.systems.joint_limits import JointLimits
 
 
 class SystemBench:
@@ -33,3 +37,51 @@ class SystemBench:
         """A copy of what an output port has, of the system or of one in it."""
         system = system or self.system
         return copy.copy(system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(self.context)))
+
+
+START = 0.3  # rad, of every joint
+
+
+class Bench(SystemBench):
+    """Steps a `RetargetingSystem` update by update; functions without joint names have `JOINTS`."""
+
+    def __init__(self, retarget=None, period=0.01, stamped=False, start=START, **options):
+        self.limits = options.pop("limits", JointLimits(LOWER, UPPER))
+        retarget = retarget or smooth_retargeter()
+        joints = tuple(getattr(retarget, "joint_names", JOINTS))
+        start = dict(zip(joints, start + np.zeros(len(joints)), strict=True))
+        super().__init__(
+            RetargetingSystem(retarget, joints, joints, start, period, self.limits, **options), period
+        )
+        self.stamped = stamped
+
+    def tick(self, keypoints, valid=1.0, stamp=None):
+        """One update; returns positions, velocities and the status after it."""
+        self.fix(keypoints=keypoints, valid=valid, **({"stamp": stamp} if self.stamped else {}))
+        self.advance()
+        return *np.split(self.value("desired_state"), 2), self.value("status")
+
+
+class Watch:
+    """Checks every command against the limits and the command before it.
+
+    Args:
+        start: positions before the first command, rad; a number for all joints.
+    """
+
+    def __init__(self, limits: JointLimits, period: float, start: np.ndarray | float = START):
+        self._limits, self._period = limits, period
+        self._q, self._v = start + np.zeros(len(limits.lower)), np.zeros(len(limits.lower))
+
+    def broken(self, q: np.ndarray, v: np.ndarray) -> list[str]:
+        """Returns the guarantees that the next positions (rad) and velocities (rad/s) break."""
+        limits, period = self._limits, self._period
+        checks = {
+            "finite": bool(np.isfinite(q).all() and np.isfinite(v).all()),
+            "position": bool(((limits.lower <= q) & (q <= limits.upper)).all()),
+            "speed": bool((np.abs(q - self._q) <= (limits.speed + 1e-9) * period).all()),
+            "consistent velocity": bool((np.abs((q - self._q) / period - v) <= 1e-9).all()),
+            "acceleration": bool((np.abs(v - self._v) <= limits.acceleration * period + 1e-9).all()),
+        }
+        self._q, self._v = q, v
+        return [name for name, kept in checks.items() if not kept]

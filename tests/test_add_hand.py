@@ -11,23 +11,26 @@ from hand_family import HandSpec, joint_name, write_hand
 from pydrake.geometry import Role
 from pydrake.math import RollPitchYaw
 
+from geort_drake import (
+    HandModel,
+    load_hand,
+    load_retargeter,
+    load_scenario,
+    make_trial_diagram,
+    synthesize_play,
+    train_checkpoint,
+)
 from geort_drake.cli import run_command
-from geort_drake.comparison.train import train_checkpoint
 from geort_drake.errors import HandError, OutputError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
-from geort_drake.hands.description import load_hand, write_description
+from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.finger_names import fingers_by_name
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
-from geort_drake.simulation.diagram import make_trial_diagram
-from geort_drake.simulation.scenario_files import load_scenario
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
 FAMILY = [

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from trial_records import error, trial
 
+from geort_drake import load_scenario
 from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
 from geort_drake.benchmark.records import TrialLog, by_training, read_records
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
@@ -20,7 +21,6 @@ from geort_drake.benchmark.statistics import (
 )
 from geort_drake.errors import BenchmarkError, ScenarioError
 from geort_drake.simulation.scenario import Scenario, dump_scenario
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.worn_glove import WornGloveConfig
 
 

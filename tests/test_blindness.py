@@ -12,9 +12,9 @@ import pytest
 from grasp_setup import centred_map, human_with, person_who_plays, plans, scenario_with
 from pydrake.systems.primitives import DiscreteTimeDelay
 
-from geort_drake import load_hand, load_scenario
+from geort_drake import load_hand, load_scenario, make_trial_diagram
 from geort_drake.simulation import operators
-from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal

@@ -1,6 +1,5 @@
 """The command geort-drake: finding commands, options, messages, exit codes, and what it refuses."""
 
-import dataclasses
 import json
 import re
 import shlex
@@ -20,14 +19,11 @@ from geort_drake.cli.options import (
     SHIPPED_METHOD,
     SIDES,
     CommandParser,
-    command,
-    view,
     write_json,
 )
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console, progress_bar, run_main, warn
-from geort_drake.errors import GeortError, RecordingError
-from geort_drake.settings import parse_settings
+from geort_drake.errors import RecordingError
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
@@ -136,23 +132,6 @@ def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
     assert "the name must end with .json; to print on stdout, give --json last" in capsys.readouterr().err
 
 
-def test_a_printed_command_can_be_typed(tmp_path, monkeypatch):
-    """It names this Python's programs: by name if the shell finds them, by path if not, and as modules."""
-    folder = tmp_path / "bin"
-    folder.mkdir()
-    for name in ("python", "rerun", "geort-drake"):
-        (folder / name).touch(0o755)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "executable", str(folder / "python"))
-    monkeypatch.setenv("PATH", str(folder))
-    assert command("grasp", "--output", Path("a b")) == "geort-drake grasp --output 'a b'"
-    assert view("a b", "/*.rrd") == "rerun 'a b'/*.rrd"
-    monkeypatch.setenv("PATH", "/nowhere")
-    assert command("grasp") == "bin/geort-drake grasp"
-    (folder / "geort-drake").unlink()
-    assert command("grasp") == "bin/python -m geort_drake grasp"
-
-
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
@@ -201,28 +180,6 @@ def test_importing_the_package_loads_nothing_else():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[0].lstrip("_") for name in done.stdout.split()}
     assert loaded - {"geort_drake"} <= {name.lstrip("_") for name in sys.stdlib_module_names}
-
-
-@dataclasses.dataclass
-class Config:
-    steps: int = 10
-    rate: float = 0.5
-    exact: bool = True
-    mode: str = "slow"
-    extent: tuple = (1, 2)
-
-
-def test_values_get_the_type_of_the_default():
-    """Numbers, truth values and texts, also those with an equals sign; the last of a name counts."""
-    texts = ["steps=20", "rate=1e-3", "exact=False", "mode=a=b", "steps=30"]
-    assert parse_settings(texts, Config, "x") == {"steps": 30, "rate": 1e-3, "exact": False, "mode": "a=b"}
-    assert parse_settings([], Config(), "x") == {}
-    for text, message in (
-        ("exact=1", "true or false, not '1'"),
-        ("extent=3", "of: exact, mode, rate, steps"),
-    ):
-        with pytest.raises(GeortError, match=message):
-            parse_settings([text], Config, "the toy")
 
 
 # -- requests that cannot be met

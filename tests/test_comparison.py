@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from light_training import train_lightly
 
+from geort_drake import synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
 from geort_drake.comparison.metric_table import mean
 from geort_drake.comparison.metrics import pinch
 from geort_drake.comparison.protocols import GUARD_S, held_out
 from geort_drake.errors import TrainingError
-from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.methods.online import VectorOnline
 
 

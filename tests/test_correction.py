@@ -9,9 +9,9 @@ import torch
 from grasp_setup import allegro
 from system_bench import SystemBench
 
+from geort_drake import HandModel
 from geort_drake.errors import PolicyError
 from geort_drake.hands.clearance import HandClearance
-from geort_drake.hands.model import HandModel
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.policy_correction import POLICY_FAILED, PolicyCorrection, load_policy
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard

@@ -211,23 +211,6 @@ def test_a_perfect_map_violates_nothing(people):
     assert float(terms["deep_pinch"][1]) == 1.0 and float(terms["false_pinch"][1]) == 1.0
 
 
-def test_figures_are_ratios(people):
-    """Others that move a quarter as far, a bent answer, and a gain that differs in one of four hands."""
-    hands = people.draw(4)
-    d = torch.nn.functional.one_hot(hands.finger, 4)[..., None] * hands.d[:, :, None]
-    others = torch.where(d == 0, 0.25 * hands.d[:, :, None], d)
-    large = torch.where(torch.arange(hands.d.shape[1])[:, None, None] % 4 == 0, 3.0, 1.0)
-
-    def figures(ahead, behind):
-        tips = [hands.moved, hands.moved + ahead, hands.moved + behind, hands.before, hands.after]
-        terms = constraint_terms(hands, RobotTips(*tips, hands.pinching), people, 0.012)
-        return {name: float(figure) for name, (_, figure) in terms.items()}
-
-    assert figures(others, -others)["cross_talk"] == pytest.approx(0.25, abs=0.02)
-    assert figures(d, -0.5 * d)["curvature"] == pytest.approx(0.25, abs=1e-3)
-    assert figures(large * d, -large * d)["uneven"] == pytest.approx(0.25)
-
-
 def test_likely_plays_are_those_of_the_persons_hand():
     """For a person of the population itself, seen in another frame and scale, they are that person's play."""
     (play,) = sample_population(1, seed=5, duration_s=10.0).astype(float)

@@ -9,9 +9,9 @@ import pytest
 from grasp_setup import allegro, centred_map, human_with, resting_glove, scenario_with, started
 from pydrake.systems.framework import LeafSystem
 
+from geort_drake import Recording, make_trial_diagram
 from geort_drake.errors import HandError
-from geort_drake.people.recording import Recording
-from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.world import HAND
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 

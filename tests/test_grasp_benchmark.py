@@ -7,13 +7,13 @@ import shutil
 
 import numpy as np
 import pytest
-from grasp_setup import TOO_SHORT, human_with, judged, planned_goal
+from grasp_setup import TOO_SHORT, human_with, planned_goal
 
 from geort_drake import load_scenario, make_trial_diagram, run_trial
 from geort_drake.benchmark import trials
 from geort_drake.benchmark.config import read_config
 from geort_drake.benchmark.folder import open_benchmark
-from geort_drake.benchmark.records import TrialKey, TrialLog, key_of, read_records
+from geort_drake.benchmark.records import TrialKey, key_of, read_records
 from geort_drake.cli import run_command
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, UnknownNameError, UsageError
@@ -82,28 +82,6 @@ def test_every_trial_has_its_line_and_its_place_in_the_report(finished):
     assert report.count("| hold | 0 % [0, 66] |") == 3
     assert report.count("| nearest_neighbour | 2 | +0 [+0, +0] | 0 : 0 |") == 3
     assert "](completion.svg)" in report and (finished / "completion.svg").read_text().startswith("<svg")
-
-
-def test_an_interrupted_benchmark_continues_without_loss_or_repetition(finished, tmp_path, monkeypatch):
-    """Stopped within its second line, it ends with the results of an uninterrupted one."""
-    append = TrialLog.append
-
-    def stop(log, record):
-        if log.path.stat().st_size == 0:
-            return append(log, record)
-        log.path.open("ab").write(b'{"method": "hol')
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(TrialLog, "append", stop)
-        with pytest.raises(KeyboardInterrupt):
-            run(tmp_path, "--methods", "hold")
-    (before,) = read_records(tmp_path / "trials.jsonl")
-    assert run(tmp_path, "--methods", "hold") == 0
-    after = read_records(tmp_path / "trials.jsonl")
-    assert after[0] == before
-    unbroken = [record for record in read_records(finished / "trials.jsonl") if record["method"] == "hold"]
-    assert list(map(judged, after)) == list(map(judged, unbroken))
 
 
 def test_methods_objects_and_conditions_can_be_added(copy):

@@ -11,6 +11,7 @@ import pytest
 from grasp_setup import TOO_SHORT, allegro, human_with, judged
 
 import geort_drake
+from geort_drake import load_scenario
 from geort_drake.benchmark import workers
 from geort_drake.benchmark.records import TrialKey, key_of
 from geort_drake.benchmark.trials import Trial, simulate
@@ -18,7 +19,6 @@ from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.scenario import dump_scenario
-from geort_drake.simulation.scenario_files import load_scenario
 
 
 def trial(method: str, seed: int, scenario_text: str = TOO_SHORT) -> Trial:

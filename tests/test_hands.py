@@ -12,12 +12,12 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import HandModel, load_scenario
+from geort_drake import HandModel, load_hand, load_scenario
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.chains import finger_links, palm_links
 from geort_drake.hands.collision_shapes import collision_shapes
-from geort_drake.hands.description import CouplingDescription, HandDescription, load_hand, write_description
+from geort_drake.hands.description import CouplingDescription, HandDescription, write_description
 from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
@@ -95,7 +95,7 @@ def test_a_mirrored_left_hand_equals_the_right_one(allegro, allegro_left, rng):
 
 
 def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):
-    """It defines the wrist, is optional, and does not change the digest."""
+    """It defines the wrist, is optional, and does not change the digest, as another fingertip does."""
     facts, load = allegro_copy
     mounted = HandModel(load())
     np.testing.assert_allclose(mounted.p_BW, [0, 0, -0.095], atol=1e-12)
@@ -103,6 +103,8 @@ def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):
     bare = HandModel(load())
     np.testing.assert_array_equal(bare.p_BW, np.zeros(3))
     assert bare.digest == mounted.digest
+    facts["fingers"][0]["tip_point"] = [0.0, 0.0, 0.05]
+    assert HandModel(load()).digest != bare.digest
 
 
 def test_kinematics_survive_an_offset_base_and_welded_links(allegro_copy, rng, tmp_path):

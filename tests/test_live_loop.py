@@ -15,11 +15,11 @@ import pytest
 from faults.sound import checkpoint
 from pydrake.lcm import DrakeLcm
 
+from geort_drake import synthesize_play
 from geort_drake.errors import LiveError
 from geort_drake.live.devices import ALLEGRO, PANDA, JointGroup, JointStatus, LcmInbox
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import open_receiver, open_sender, wait_for
-from geort_drake.people.play import synthesize_play
 
 # s; a busy machine takes long to start three programs. Without a fault nothing waits so long.
 PATIENCE_S = 300.0

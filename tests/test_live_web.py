@@ -8,8 +8,8 @@ from faults.mutations import changed, mutated
 from live_messages import PLAY, R_CW, Clock, camera, headset, hello, in_world
 from loop_bench import LoopBench
 
+from geort_drake import load_hand
 from geort_drake.errors import GeortError, LiveError, MismatchError
-from geort_drake.hands.description import load_hand
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import decode as decode_glove
 from geort_drake.live.web.guide import DURATION_S, GuidedPlay

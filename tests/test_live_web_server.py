@@ -97,16 +97,14 @@ def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_path):
                     assert answer.status == 404
 
         talk(fetch)
-
-
-def test_without_a_built_page_the_server_says_how_to_build_it():
+    # Without a built page it says how to build it.
     with serving() as (_, _, base):
 
-        async def fetch(session):
+        async def read(session):
             async with session.get(base) as answer:
                 assert "make live" in await answer.text()
 
-        talk(fetch)
+        talk(read)
 
 
 def test_a_wrong_key_a_foreign_page_and_a_ninth_connection_are_turned_away():

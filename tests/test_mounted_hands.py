@@ -12,10 +12,10 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from geort_drake import HandModel, load_hand, load_scenario, run_trial
+from geort_drake import HandModel, load_hand, load_scenario, make_trial_diagram, run_trial
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
-from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_contacts, palm_contact

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 
+from geort_drake import synthesize_play
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.play import synthesize_play
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion

@@ -9,13 +9,14 @@ import pytest
 from glove_files import FRAMES, moving, random_hand
 from scipy.spatial.transform import Rotation
 
+from geort_drake import read_recording
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.people.checks import examine
 from geort_drake.people.coverage import pinch_distances
 from geort_drake.people.formats.unpickling import load_plain
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import bone_lengths
-from geort_drake.people.readers import ASSUMED_RATE_HZ, open_recording, read_recording
+from geort_drake.people.readers import ASSUMED_RATE_HZ, open_recording
 from geort_drake.people.recording import PINCH_M
 
 # Files that hold the wrist's pose in the world.
@@ -207,37 +208,6 @@ def test_a_manus_skeleton_is_read_with_or_without_order_times_and_tracker(tmp_pa
     untracked = read_recording(gloves.write_manus(tmp_path, dc.replace(hand, p_WH=0 * hand.p_WH)))
     assert untracked.metadata["wrist_position_tracked"] is False
     np.testing.assert_allclose(untracked.X_WH[:, 4:], 0.0, atol=1e-7)
-
-
-class Reduced:
-    """What pickles as a call, and the state that its result is given."""
-
-    def __init__(self, call, arguments, state=None):
-        self.reduced = call, arguments, state
-
-    def __reduce__(self):
-        return self.reduced
-
-
-REBUILT = (np.zeros(0).__reduce__()[0], (np.ndarray, (0,), b"b"))
-
-
-@pytest.mark.parametrize(
-    "contents",
-    [
-        Reduced(np.dtype, ("V8", False, True), (3, "|", None, ("a",), {"a": 1}, 8, 1, 0)),
-        Reduced(*REBUILT, (1, (4,), np.dtype(object), False, [1, 2])),
-        Reduced(*REBUILT, (1, (2, 10**9), np.dtype("f8"), False, b"\0" * 16)),
-        Reduced(np.float64(0).__reduce__()[0], (np.dtype(object), b"\0" * 8)),
-    ],
-    ids=["fields", "too few objects", "too large", "object from bytes"],
-)
-def test_pickles_that_mislead_numpy_are_refused(tmp_path, contents):
-    """Some of them end the process where NumPy itself unpickles them."""
-    path = tmp_path / "x.pkl"
-    path.write_bytes(pickle.dumps(contents))
-    with pytest.raises(RecordingError, match=r"x\.pkl: not a readable pickle"):
-        load_plain(path)
 
 
 @pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))

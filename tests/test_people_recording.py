@@ -137,27 +137,6 @@ def test_an_interrupted_session_is_read_and_then_kept(tmp_path):
     assert len(read_recording(again.recovered)) == 300
 
 
-def test_a_full_disk_keeps_the_parts_before(tmp_path, monkeypatch):
-    """The session goes on, with one warning; its end names the file, and the parts can be read."""
-    save, saved = Recording.save, []
-
-    def full(recording, path):
-        if len(saved) == 3:
-            raise OutputError(f"{path}: cannot be written: No space left on device")
-        saved.append(path)
-        save(recording, path)
-
-    monkeypatch.setattr(Recording, "save", full)
-    path = tmp_path / "session.npz"
-    parts = RecordingParts(path, PLAY.metadata)
-    with pytest.warns(RuntimeWarning, match="the recording ends here: .*No space left") as warned:
-        append(parts, range(len(PLAY)))
-        with pytest.raises(OutputError, match=r"000003\.npz: cannot be written: No space left"):
-            parts.finish()
-    assert len(warned) == 1
-    assert len(read_recording(path)) == 150
-
-
 def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
     """Memory stays bounded: what does not fit is left out, and told."""
     go_on = threading.Event()

@@ -1,19 +1,19 @@
 """A fault in a single frame never refuses a recording: it is reported, and the rest is read unchanged."""
 
 import json
-import pickle
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 from faults.mutations import VALUES, changed
-from glove_files import WRITERS, moving, write_manus, write_own
+from glove_files import WRITERS, moving, read_contents, write_contents, write_manus, write_own
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from geort_drake import read_recording
 from geort_drake.people.checks import examine, verdict
-from geort_drake.people.readers import open_recording, read_recording
+from geort_drake.people.readers import open_recording
 
 FRAMES = 80
 
@@ -50,15 +50,15 @@ TIME_FAULTS = [
 
 
 def spoil_arrays(path: Path, i: int, draw) -> None:
-    loaded = np.load(path)
-    arrays = {"data": loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
+    loaded = read_contents(path)
+    arrays = loaded if isinstance(loaded, dict) else {"data": loaded}
     fields = [name for name, array in arrays.items() if array.dtype.kind == "f" and len(array) == FRAMES]
     field = draw(st.sampled_from(fields))
     if arrays[field].ndim == 1:
         arrays[field][i] = draw(st.sampled_from(TIME_FAULTS))(arrays[field], i)
     else:
         draw(st.sampled_from(FRAME_FAULTS))(arrays[field][i])
-    np.save(path, arrays["data"]) if path.suffix == ".npy" else np.savez(path, **arrays)
+    write_contents(path, loaded)
 
 
 def spoiled(frame, draw):
@@ -73,22 +73,13 @@ def spoiled(frame, draw):
 
 
 def spoil_objects(path: Path, i: int, draw) -> None:
-    if path.suffix == ".pkl":
-        contents = pickle.loads(path.read_bytes())  # noqa: S301 (our own)
-    elif path.suffix == ".jsonl":
-        contents = [json.loads(line) for line in path.read_text().splitlines()]
-    else:
-        contents = json.loads(path.read_text())
+    contents = read_contents(path)
     frames = contents if isinstance(contents, list) else contents.get("frames")
     if frames is None:
         contents = spoiled(contents, draw)  # a file with one frame
     else:
         frames[i] = spoiled(frames[i], draw)
-    if path.suffix == ".pkl":
-        path.write_bytes(pickle.dumps(contents))
-    else:
-        parts = contents if path.suffix == ".jsonl" else [contents]
-        path.write_text("\n".join(map(json.dumps, parts)))
+    write_contents(path, contents)
 
 
 def spoil_text(path: Path, i: int, draw) -> None:

@@ -12,8 +12,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
+from geort_drake import load_hand
 from geort_drake.errors import ScenarioError, UnknownNameError
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.scenario import object_names

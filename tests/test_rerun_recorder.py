@@ -16,18 +16,10 @@ from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, World, constant, entities, read, rerun, steps
 from scipy.spatial.transform import Rotation
 
+from geort_drake import CloseUpSpec, PointsSpec, SignalSpec, StateSpec, add_rerun_recorder
 from geort_drake.errors import RecordingError, ScenarioError
 from geort_drake.live.transports import wait_for
-from geort_drake.rerun import (
-    CloseUpSpec,
-    PointsSpec,
-    RerunRecorder,
-    SignalSpec,
-    StateSpec,
-    add_rerun_recorder,
-    recorder,
-    take_screenshot,
-)
+from geort_drake.rerun import RerunRecorder, recorder, take_screenshot
 from geort_drake.rerun.layout import Layout
 
 

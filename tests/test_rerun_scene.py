@@ -33,17 +33,9 @@ from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, MASS, World, constant, entities, pose_source, read, steps
 from scipy.spatial.transform import Rotation
 
+from geort_drake import CameraSpec, CloseUpSpec, ContactSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import BONES
-from geort_drake.rerun import (
-    CameraSpec,
-    CloseUpSpec,
-    ContactSpec,
-    HandSpec,
-    PointsSpec,
-    SignalSpec,
-    StateSpec,
-)
 
 
 def test_shapes_are_placed_and_coloured_as_the_plant_has_them(tmp_path):

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from faults.sound import checkpoint
 
+from geort_drake import Retargeter, load_retargeter
 from geort_drake.errors import GeortError, UnknownNameError
 from geort_drake.retargeting.methods import trained_method
-from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
 
 NAMES = ("thumb", "index", "middle", "ring", "little")
 TIPS = (4, 8, 12, 16, 20)

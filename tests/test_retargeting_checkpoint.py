@@ -6,14 +6,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from faults.bench import Bench
-from faults.sound import FINGERS, JOINTS, LOWER, TIPS, UPPER, play, smooth_arrays, smooth_retargeter
+from faults.sound import (
+    JOINTS,
+    TIPS,
+    checkpoint,
+    play,
+    smooth_arrays,
+    smooth_retargeter,
+)
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from retargeting_toy import toy_kinematics, uneven_kinematics
+from system_bench import Bench
 
+from geort_drake import Retargeter, load_retargeter
 from geort_drake.errors import CheckpointError, HandError
-from geort_drake.retargeting.checkpoint import REQUIRED, TRAINED_POINTS, load_checkpoint, save_checkpoint
-from geort_drake.retargeting.retargeter import Retargeter, load_retargeter
+from geort_drake.retargeting.checkpoint import REQUIRED, load_checkpoint
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 from geort_drake.retargeting.training.networks import RetargetingNetwork
 from geort_drake.systems.glove_checks import GloveChecks
@@ -35,23 +42,6 @@ def retargeter_of(kinematics, network) -> Retargeter:
     return Retargeter(network.arrays(), *names, KEYPOINTS, kinematics.lower, kinematics.upper)
 
 
-def save(path, **changes):
-    kinematics = toy_kinematics()
-    hand = {
-        "name": "toy",
-        "finger_names": list(kinematics.finger_names),
-        "joint_names": list(kinematics.joint_names),
-        "lower": kinematics.lower.tolist(),
-        "upper": kinematics.upper.tolist(),
-        "model_sha256": "abc",
-    }
-    arguments = {
-        "method": "geort", "hand": hand, "human_keypoints": KEYPOINTS, "training": {"steps": 1},
-        "provenance": {"seed": 0}, "history": [{"step": 0, "total": 1.5}], "metrics": {"coverage": 0.5},
-    }  # fmt: skip
-    return save_checkpoint(path, network_of(kinematics).arrays(), **(arguments | changes))
-
-
 @pytest.mark.parametrize("kinematics", [toy_kinematics(), uneven_kinematics()], ids=["even", "uneven"])
 def test_numpy_equals_torch(kinematics, rng):
     """Folding the normalisation into the weights changes nothing, for any joint layout."""
@@ -63,25 +53,25 @@ def test_numpy_equals_torch(kinematics, rng):
     np.testing.assert_allclose(retarget(p[7]), retarget(p)[7], atol=1e-12)
 
 
-def test_a_checkpoint_comes_back_as_it_was(tmp_path, rng):
+def test_a_checkpoint_comes_back_as_it_was(tmp_path, allegro, rng):
     """Same outputs after saving and loading; an earlier checkpoint is replaced."""
-    kinematics = toy_kinematics()
-    path = save(tmp_path / "run", history=[{"step": 1}, {"step": 2}])
-    save(path)
-    p = rng.normal(0.05, 0.05, (50, 3, 3))
-    loaded = load_retargeter(path)
-    np.testing.assert_array_equal(loaded(p), retargeter_of(kinematics, network_of(kinematics))(p))
-    assert loaded.joint_names == kinematics.joint_names
-    assert loaded.finger_names == kinematics.finger_names
-    assert (path / "history.csv").read_text().split() == ["step,total", "0,1.5"]
+    checkpoint(tmp_path, history=[{"step": 1}, {"step": 2}])
+    path = checkpoint(tmp_path, metrics={"coverage": 0.5})
+    p, loaded = rng.normal(0.05, 0.05, (50, 4, 3)), load_retargeter(path)
+    names = allegro.finger_names, allegro.joint_names
+    np.testing.assert_array_equal(
+        loaded(p), Retargeter(smooth_arrays(), *names, TIPS, allegro.lower, allegro.upper)(p)
+    )
+    assert (list(loaded.finger_names), list(loaded.joint_names)) == tuple(map(list, names))
+    assert (path / "history.csv").read_text().split() == ["step,total", "0,1.0"]
     assert json.loads((path / "metrics.json").read_text()) == {"coverage": 0.5}
-    assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["checkpoint"]
 
 
 @pytest.mark.parametrize("name", REQUIRED)
 def test_missing_and_altered_files_are_named(tmp_path, name):
     """One flipped bit is enough; both digests are in the message."""
-    path = save(tmp_path / "run")
+    path = checkpoint(tmp_path)
     content = bytearray((path / name).read_bytes())
     if name != "config.json":
         content[-3] ^= 1
@@ -94,33 +84,34 @@ def test_missing_and_altered_files_are_named(tmp_path, name):
         load_retargeter(path)
 
 
-def test_a_checkpoint_for_another_hand_is_refused(tmp_path):
+def test_a_checkpoint_for_another_hand_is_refused(tmp_path, allegro):
     """Joints, fingers and the model's digest must agree; the message has both sides."""
-    path, kinematics = save(tmp_path / "run"), toy_kinematics()
-    facts = {"finger_names": kinematics.finger_names, "joint_names": kinematics.joint_names, "digest": "abc"}
-    load_retargeter(path, SimpleNamespace(**facts))
-    message = r"another hand, 'toy': its joints is thumb_0.*expected is a, b"
-    with pytest.raises(CheckpointError, match=message):
-        load_retargeter(path, SimpleNamespace(**facts | {"joint_names": ["a", "b"]}))
-    with pytest.raises(CheckpointError, match="its model digest is abc, expected is def"):
-        load_retargeter(path, SimpleNamespace(**facts | {"digest": "def"}))
+    path = checkpoint(tmp_path)
+    load_retargeter(path, allegro)
+    facts = {name: getattr(allegro, name) for name in ("finger_names", "joint_names", "digest")}
+    for changes, message in (
+        ({"joint_names": ["a", "b"]}, "its joints is joint_12.*expected is a, b"),
+        ({"digest": "def"}, f"its model digest is {allegro.digest}, expected is def"),
+    ):
+        with pytest.raises(CheckpointError, match=f"another hand, 'allegro_right': {message}"):
+            load_retargeter(path, SimpleNamespace(**facts | changes))
 
 
 def test_a_failed_save_leaves_the_earlier_checkpoint_and_other_folders_alone(tmp_path):
     """NaN is no JSON; a folder that is not a checkpoint is not replaced, an empty one may be."""
-    path = save(tmp_path / "run")
+    path = checkpoint(tmp_path)
     with pytest.raises(ValueError, match="JSON"):
-        save(path, metrics={"coverage": float("nan")})
+        checkpoint(tmp_path, metrics={"coverage": float("nan")})
     assert load_checkpoint(path).config["method"] == "geort"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["run"]
+    assert [entry.name for entry in tmp_path.iterdir()] == ["checkpoint"]
     (tmp_path / "work").mkdir()
     (tmp_path / "work" / "thesis.tex").write_text("years")
     for existing in (tmp_path / "work", tmp_path / "work" / "thesis.tex"):
         with pytest.raises(CheckpointError, match="exists and is not a checkpoint"):
-            save(existing)
+            checkpoint(existing.parent, existing.name)
     assert (tmp_path / "work" / "thesis.tex").read_text() == "years"
     (tmp_path / "empty").mkdir()
-    assert load_checkpoint(save(tmp_path / "empty")).config["method"] == "geort"
+    assert load_checkpoint(checkpoint(tmp_path, "empty")).config["method"] == "geort"
 
 
 PLAY = play()
@@ -151,16 +142,8 @@ def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
 
 def test_a_checkpoint_tells_where_it_was_trained_and_an_older_one_still_loads(tmp_path):
     """Without the places, nothing is known about the distance, and the retargeter is the same."""
-    facts = {"name": "toy", "finger_names": FINGERS, "joint_names": JOINTS, "model_sha256": "abc"}
-    points = trained_points(PLAY.p_HK[:, list(TIPS)])
-    for name, arrays in (("new", {TRAINED_POINTS: points}), ("old", {})):
-        save_checkpoint(
-            tmp_path / name, smooth_arrays() | arrays, method="geort",
-            hand=facts | {"lower": LOWER.tolist(), "upper": UPPER.tolist()}, human_keypoints=TIPS,
-            training={}, provenance={}, history=[],
-        )  # fmt: skip
-    new, old = (load_retargeter(tmp_path / name) for name in ("new", "old"))
-    np.testing.assert_array_equal(new.trained_space.points, points)
+    new, old = (load_retargeter(checkpoint(tmp_path, str(known), known)) for known in (True, False))
+    np.testing.assert_array_equal(new.trained_space.points, trained_points(PLAY.p_HK[:, list(TIPS)]))
     assert old.trained_space is None
     hand = hands(1)[0]
     np.testing.assert_array_equal(new(hand), old(hand))

@@ -1,7 +1,6 @@
 """Algorithm 1 on a small hand whose right answer is known."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_collides, toy_dat
 
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting.methods.geort import PRESETS, GeortConfig, train_geort, training
-from geort_drake.retargeting.training.descent import descend
 
 QUICK = GeortConfig(
     steps=200, points=64, targets=96, pinches=32, frames=32, hidden=32,
@@ -62,23 +60,6 @@ def test_a_map_that_is_driven_into_its_limits_is_noticed():
     """Its loss is finite and worse than at the start."""
     with pytest.warns(RuntimeWarning, match=r"loss did not fall: \S+ at the start, \S+ at the end"):
         quick(learning_rate=100.0)
-
-
-def test_the_best_weights_of_a_descent_are_not_older_than_a_hundredth_of_it():
-    """A loss that breaks at step 150 of 200 leaves the weights of step 150, two steps being a hundredth."""
-    network = torch.nn.Linear(1, 1)
-    seen = []
-
-    def losses(step):
-        seen.append(network.weight.item())
-        value = (network.weight * (math.nan if step == 151 else 1.0)).square().sum()
-        return value, {"square": value}
-
-    with pytest.warns(RuntimeWarning, match="at step 151 of 200"):
-        descent = descend(network, losses, 200, 1e-2)
-    assert descent.stopped_at == 151 and len(seen) == 152
-    assert network.weight.item() == seen[150]
-    assert descent.history[-1]["step"] == 150
 
 
 def test_labels_of_own_outputs_reduce_collisions():

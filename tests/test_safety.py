@@ -4,10 +4,10 @@ import dataclasses as dc
 
 import numpy as np
 import pytest
-from faults.bench import Bench
 from faults.sound import play, smooth_retargeter
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from system_bench import Bench
 
 from geort_drake.systems import glove_checks
 from geort_drake.systems.joint_limits import JointLimits

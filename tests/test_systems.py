@@ -7,7 +7,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench
 
-from geort_drake import GloveReplay, Recording
+from geort_drake import GloveReplay, Recording, RetargetingSystem
 from geort_drake.errors import HandError
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
 from geort_drake.systems.clutch import Clutch
@@ -15,7 +15,7 @@ from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import pose_to_vector
-from geort_drake.systems.retargeting_system import TRACKING, RetargetingSystem
+from geort_drake.systems.retargeting_system import TRACKING
 
 JOINTS = ("thumb_a", "thumb_b", "index_a")
 

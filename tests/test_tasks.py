@@ -20,7 +20,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from geort_drake import run_trial
+from geort_drake import load_scenario, run_trial
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.web.scene import PoseStream, Scene
@@ -29,7 +29,6 @@ from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import IntentionConfig, LearnedMotion
-from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task, task_names
 from geort_drake.simulation.tasks.cap.goal import RADIUS as CAP_RADIUS
 from geort_drake.simulation.tasks.cap.monitor import CapOutcome

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 import torch
-from faults.bench import Bench, Watch
 from grasp_setup import allegro
 from retargeting_toy import toy_kinematics
+from system_bench import Bench, Watch
 
 from geort_drake import HandModel, load_hand, load_retargeter, refit_checkpoint, synthesize_play
 from geort_drake.cli import run_command

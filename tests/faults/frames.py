@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from loop_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
+from system_bench import Bench, Watch
 
-from faults.bench import Bench, Watch
 from faults.sound import LOWER, UPPER, play, smooth_retargeter
 from geort_drake.systems.joint_limits import JointLimits
 

@@ -20,11 +20,11 @@ from safetensors.numpy import load_file, save_file
 
 from faults.child import run
 from faults.sound import checkpoint
+from geort_drake import load_retargeter
 from geort_drake.benchmark.records import read_records
 from geort_drake.cli import run_command
 from geort_drake.files import sha256_of
 from geort_drake.resources import models_dir
-from geort_drake.retargeting.retargeter import load_retargeter
 
 GIB = 1 << 30
 DEEP = b"[" * 100_000
@@ -91,10 +91,10 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 class Calls:
-    """Pickled, it asks for a call of a function."""
+    """Pickled, it asks for a call of a function, and gives its result a state."""
 
-    def __init__(self, function: Callable, *arguments: object):
-        self.call = (function, arguments)
+    def __init__(self, function: Callable, *arguments: object, state: object = None):
+        self.call = (function, arguments, state)
 
     def __reduce__(self) -> tuple:
         return self.call
@@ -177,6 +177,14 @@ def sparse(path: Path) -> None:
 
 PROMISE = npy_header((10**12, 21, 3)) + bytes(504)
 OUTSIDE = npy_header((2, 21, 3)) + bytes(2 * 504)
+# What NumPy would unpickle to objects in memory that holds none; some of it ends the process.
+ARRAY = (np.zeros(0).__reduce__()[0], np.ndarray, (0,), b"b")
+MISLEADING = {
+    "a type with fields": Calls(np.dtype, "V8", False, True, state=(3, "|", None, ("a",), {"a": 1}, 8, 1, 0)),
+    "too few objects": Calls(*ARRAY, state=(1, (4,), np.dtype(object), False, [1, 2])),
+    "too much memory": Calls(*ARRAY, state=(1, (2, 10**9), np.dtype("f8"), False, bytes(16))),
+    "objects made of bytes": Calls(np.float64(0).__reduce__()[0], np.dtype(object), bytes(8)),
+}
 ATTRIBUTE = b"\x80\x04\x8c\x16numpy._core.multiarray\x8c\x15_reconstruct.__self__\x93."
 CODE, TOO_LARGE = "which could run code", r"has \d+\.0 GiB; the limit is 2 GiB"
 
@@ -202,6 +210,10 @@ RECORDINGS: dict[str, tuple[Make, str]] = {
         recording("hand.pkl", b"\x80\x04})" + b"\x85" * 100_000 + b"K\x01s."),
         "matches no known format",
     ),
+    **{
+        f"a pickle of {what}": (recording("hand.pkl", pickle.dumps(array)), "not a readable pickle")
+        for what, array in MISLEADING.items()
+    },
     "JSON 100,000 deep": (recording("hand.json", DEEP), "not JSON: maximum recursion depth"),
     "JSON of 40 GiB": (recording("hand.json", sparse), TOO_LARGE),
     "a pipe": (recording("hand.npz", os.mkfifo), "no such file"),

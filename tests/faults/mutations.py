@@ -1,21 +1,20 @@
 """Valid inputs changed at random: a reader accepts them or refuses them with an error of ours."""
 
 import copy
-import json
 import os
-import pickle
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
+from glove_files import read_contents, write_contents
 
 from faults.child import run
 from faults.readers import Reader, sound_inputs
 from geort_drake.errors import GeortError
 
+PARSED = (".json", ".jsonl", ".yaml", ".pkl")  # endings of files whose contents are changed
 BATCH = 250  # inputs that a process reads before the next one takes over
 
 VALUES: tuple[Any, ...] = (
@@ -32,8 +31,10 @@ ARRAYS: tuple[Any, ...] = (
 
 def mutate(path: Path, rng: np.random.Generator) -> None:
     """Changes a file: its bytes, or half of the time its parsed contents, if its format is known."""
-    if path.suffix in WITHIN and rng.random() < 0.5:
-        WITHIN[path.suffix](path, rng)
+    if path.suffix in PARSED and rng.random() < 0.5:
+        write_contents(path, changed(read_contents(path), rng))
+    elif path.suffix in (".npz", ".npy") and rng.random() < 0.5:
+        write_contents(path, changed_arrays(read_contents(path), rng))
     else:
         path.write_bytes(mutated(path.read_bytes(), rng))
 
@@ -75,6 +76,22 @@ def changed(value: Any, rng: np.random.Generator) -> Any:
             break
         place = inner
     return value
+
+
+def changed_arrays(arrays: Any, rng: np.random.Generator) -> Any:
+    """Returns other arrays of which one is removed, cut, scaled or replaced; another one for an array."""
+    if isinstance(arrays, np.ndarray):
+        return ARRAYS[rng.integers(0, len(ARRAYS))]
+    name = list(arrays)[rng.integers(0, len(arrays))]
+    array = arrays.pop(name)
+    kind = rng.integers(0, 4)
+    if kind == 1 and array.ndim:
+        arrays[name] = array[: int(rng.integers(0, 4))]
+    elif kind == 2 and array.dtype.kind == "f":
+        arrays[name] = array * rng.choice([0.0, np.nan, -1.0, 1e30, 1e300])
+    elif kind:
+        arrays[name] = ARRAYS[rng.integers(0, len(ARRAYS))]
+    return arrays
 
 
 def fuzz(count: int, seed: int, folder: Path, report: Callable[[int, int], None] | None = None) -> dict:
@@ -138,47 +155,3 @@ def wrong_with(reader: Reader) -> str:
     except Exception as error:
         return f"{type(error).__name__}: {error!r:.300}"
     return ""
-
-
-def _mutate_json(path: Path, rng: np.random.Generator) -> None:
-    path.write_text(json.dumps(changed(json.loads(path.read_text()), rng)))
-
-
-def _mutate_lines(path: Path, rng: np.random.Generator) -> None:
-    lines = changed([json.loads(line) for line in path.read_text().splitlines()], rng)
-    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-
-
-def _mutate_yaml(path: Path, rng: np.random.Generator) -> None:
-    path.write_text(yaml.safe_dump(changed(yaml.safe_load(path.read_text()), rng)))
-
-
-def _mutate_arrays(path: Path, rng: np.random.Generator) -> None:
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file.files}
-    name = list(arrays)[rng.integers(0, len(arrays))]
-    array = arrays.pop(name)
-    kind = rng.integers(0, 4)
-    if kind == 1 and array.ndim:
-        arrays[name] = array[: int(rng.integers(0, 4))]
-    elif kind == 2 and array.dtype.kind == "f":
-        arrays[name] = array * rng.choice([0.0, np.nan, -1.0, 1e30, 1e300])
-    elif kind:
-        arrays[name] = ARRAYS[rng.integers(0, len(ARRAYS))]
-    np.savez(path, **arrays)
-
-
-def _mutate_array(path: Path, rng: np.random.Generator) -> None:
-    np.save(path, ARRAYS[rng.integers(0, len(ARRAYS))])
-
-
-def _mutate_pickle(path: Path, rng: np.random.Generator) -> None:
-    contents = changed(pickle.loads(path.read_bytes()), rng)  # noqa: S301 (our own file)
-    path.write_bytes(pickle.dumps(contents))
-
-
-# Changes of parsed contents, by the file's ending.
-WITHIN = {
-    ".json": _mutate_json, ".jsonl": _mutate_lines, ".yaml": _mutate_yaml, ".npz": _mutate_arrays,
-    ".npy": _mutate_array, ".pkl": _mutate_pickle,
-}  # fmt: skip

@@ -14,11 +14,11 @@ from live_messages import manus_glove, manus_words, nodes_of, own_fields
 from trial_records import error, trial
 
 from faults.sound import checkpoint
-from geort_drake import HandModel, load_retargeter, load_scenario
+from geort_drake import HandModel, load_hand, load_retargeter, load_scenario
 from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
 from geort_drake.benchmark.records import read_records
 from geort_drake.files import sha256_of
-from geort_drake.hands.description import load_hand, write_description
+from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
 from geort_drake.live.messages import decode

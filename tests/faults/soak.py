@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from system_bench import Bench, Watch
 
-from faults.bench import Bench, Watch
 from faults.sound import play, smooth_retargeter
 from geort_drake.systems.glove_checks import GloveChecks
 

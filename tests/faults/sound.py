@@ -43,15 +43,16 @@ def smooth_retargeter(gain: float = 1.0) -> Retargeter:
     return Retargeter(smooth_arrays(gain), FINGERS, JOINTS, TIPS, LOWER, UPPER)
 
 
-def checkpoint(folder: Path) -> Path:
-    """Writes a checkpoint of that map for the Allegro hand."""
+def checkpoint(folder: Path, name: str = "checkpoint", with_points: bool = True, **changes) -> Path:
+    """Writes a checkpoint of that map for the Allegro hand; `changes` are to what is stored with it.
+
+    Without the points that it was trained on it is one of an earlier version.
+    """
     hand = allegro()
-    points = trained_points(play().p_HK[:, list(TIPS)].astype(float))
-    return save_checkpoint(
-        folder / "checkpoint",
-        {**smooth_arrays(), TRAINED_POINTS: points},
-        method="geort",
-        hand={
+    points = {TRAINED_POINTS: trained_points(play().p_HK[:, list(TIPS)].astype(float))}
+    stored = {
+        "method": "geort",
+        "hand": {
             "name": hand.description.name,
             "finger_names": list(hand.finger_names),
             "joint_names": list(hand.joint_names),
@@ -59,8 +60,11 @@ def checkpoint(folder: Path) -> Path:
             "upper": hand.upper.tolist(),
             "model_sha256": hand.digest,
         },
-        human_keypoints=TIPS,
-        training={},
-        provenance={"warnings": []},
-        history=[{"step": 0, "total": 1.0}],
+        "human_keypoints": TIPS,
+        "training": {},
+        "provenance": {"warnings": []},
+        "history": [{"step": 0, "total": 1.0}],
+    }
+    return save_checkpoint(
+        folder / name, smooth_arrays() | (points if with_points else {}), **(stored | changes)
     )
