@@ -35,12 +35,16 @@ _MACHINE = ("date", "processor", "cores", "load_average", "python")
 sys.path[:0] = [str(ROOT / name) for name in ("tests", "benchmarks", "studies")]
 
 from faults import disks, kills  # noqa: E402
-from faults.frames import faulty_frames, fuzz_arm, fuzz_system  # noqa: E402
-from faults.guard import fuzz_guard  # noqa: E402
 from faults.hostile import CASES, faults_of  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
-from faults.soak import soak  # noqa: E402
 from faults.sound import LOWER, TIPS, UPPER, smooth_retargeter  # noqa: E402
+from faults.systems import (  # noqa: E402
+    faulty_frames,
+    fuzz_arm,
+    fuzz_guard,
+    fuzz_system,
+    soak,
+)
 from guided_fuzzing import fuzz_guided, require_atheris  # noqa: E402
 from side_by_side import machine  # noqa: E402
 

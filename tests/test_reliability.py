@@ -5,12 +5,10 @@ import functools
 import numpy as np
 import pytest
 from faults import disks, kills
-from faults.frames import FAULTS, WRIST_FAULTS, fuzz_arm, fuzz_system
-from faults.guard import COMMANDS, fuzz_guard
 from faults.hostile import CASES, faults_of
 from faults.mutations import fuzz as fuzz_readers
 from faults.physics import watched
-from faults.soak import soak
+from faults.systems import COMMANDS, FAULTS, WRIST_FAULTS, fuzz_arm, fuzz_guard, fuzz_system, soak
 from grasp_setup import centred_map, human_with, scenario_with
 
 from geort_drake import files, make_trial_diagram

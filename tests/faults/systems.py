@@ -1,8 +1,12 @@
-"""Faulty glove frames and wrist poses, through retargeting and arm."""
+"""Faulty frames, wrist poses and commands through systems, and very many updates of one."""
 
+import gc
 import math
+import os
+import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 from loop_bench import PERIOD, ArmBench
@@ -10,7 +14,11 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from system_bench import Bench, Watch
 
 from faults.sound import LOWER, UPPER, play, smooth_retargeter
+from geort_drake import HandModel, load_hand
+from geort_drake.hands.clearance import HandClearance
+from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
 KEYPOINT = np.arange(21)[:, None]
 # From a frame's keypoints and time, the keypoints before and a generator to what is changed of the frame.
@@ -141,3 +149,117 @@ def fuzz_system(count: int, seed: int) -> dict:
             faults[fault] += 1
             held += status.state.startswith("held")
     return _counted(faults, held, broken)
+
+
+CLEARANCE = 0.002  # m
+# Lower and upper limits and a generator → commanded positions (n,), rad.
+COMMANDS: dict[str, Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]] = {
+    "anywhere": lambda low, high, rng: rng.uniform(low, high),
+    "at the limits": lambda low, high, rng: np.where(rng.random(len(low)) < 0.5, low, high),
+    "beyond them": lambda low, high, rng: rng.normal(0.0, 20.0, len(low)),
+    "huge": lambda low, high, rng: rng.choice([-1e300, 1e300], len(low)),
+    "not finite": lambda low, high, rng: np.where(rng.random(len(low)) < 0.2, np.nan, np.inf),
+}
+
+
+def fuzz_guard(count: int, seed: int) -> dict:
+    """Gives the guard of an Allegro hand `count` commands, each repeated for one to 40 steps.
+
+    Returns:
+        steps, how many had which kind of command, how many of these were corrected, how often which guarantee
+        was broken, and the median times, µs, of steps that passed a finite command on or corrected it.
+    """
+    rng = np.random.default_rng(seed)
+    hand = HandModel(load_hand("allegro_right"))
+    limits = JointLimits(hand.lower, hand.upper)
+    start = dict(zip(hand.joint_names, hand.default_position, strict=True))
+    guard = SelfCollisionGuard(hand, hand.joint_names, start, limits, PERIOD, CLEARANCE)
+    judge = HandClearance(hand, CLEARANCE)
+    reach = limits.speed * PERIOD
+    q, left, wanted = hand.default_position, 0, hand.default_position
+    kinds: Counter[str] = Counter()
+    broken: Counter[str] = Counter()
+    kinds_corrected: Counter[str] = Counter()
+    times: dict[bool, list[float]] = {False: [], True: []}
+    kind = ""
+    for _ in range(count):
+        if left == 0:
+            kind, left = str(rng.choice(list(COMMANDS))), int(rng.integers(1, 41))
+            wanted = COMMANDS[kind](hand.lower, hand.upper, rng)
+        left -= 1
+        kinds[kind] += 1
+        before = q
+        started = time.perf_counter()
+        q = guard.guarded(wanted, before)
+        took = time.perf_counter() - started
+        target = np.clip(np.clip(wanted, before - reach, before + reach), hand.lower, hand.upper)
+        corrected = not np.array_equal(q, target)
+        kinds_corrected[kind] += corrected
+        if np.isfinite(wanted).all():
+            times[corrected].append(1e6 * took)
+        broken["finite"] += not np.isfinite(q).all()
+        broken["limits"] += not ((hand.lower <= q) & (q <= hand.upper)).all()
+        broken["speed"] += bool((np.abs(q - before) > reach + 1e-12).any())
+        broken["clearance"] += bool(judge.near(q).pairs)
+    return {
+        "steps": count,
+        "commands": dict(kinds),
+        "corrected": dict(kinds_corrected),
+        "broken": dict(broken),
+        "violations": sum(broken.values()),
+        "us_passed_on": float(np.median(times[False])),
+        "us_corrected": float(np.median(times[True])),
+    }
+
+
+BLOCKS = 100
+
+
+def soak(count: int) -> dict[str, dict]:
+    """Makes `count` updates of a `RetargetingSystem` and as many calls of a `Retargeter`.
+
+    Returns:
+        For each: updates; violations; us_per_update; growth_mb, growth of the resident memory after the first
+        tenth; and slow_down, the median CPU time of an update in the last tenth over that in the second, less
+        1.
+    """
+    bench, frames = Bench(checks=GloveChecks(ease_at_start=False)), play().p_HK.astype(float)
+    watch, retarget = Watch(bench.limits, bench.period), smooth_retargeter()
+
+    def update(number: int) -> int:
+        q, v, _ = bench.tick(frames[number % len(frames)], float(number % 997 > 5))
+        return len(watch.broken(q, v))
+
+    def call(number: int) -> int:
+        return int(not np.isfinite(retarget(frames[number % len(frames)]).sum()))
+
+    return {"RetargetingSystem": _measured(update, count), "Retargeter": _measured(call, count)}
+
+
+def _measured(step: Callable[[int], int], count: int) -> dict:
+    """Calls `step`, which returns the violations of an update, with the update's number."""
+    blocks = np.array_split(np.arange(count), min(BLOCKS, count))
+    # The first tenth fills caches and pools.
+    tenth = max(1, len(blocks) // 10)
+    times, memory, violations = [], {}, 0
+    for block, numbers in enumerate(blocks, 1):
+        started = time.thread_time()
+        for number in numbers.tolist():
+            violations += step(number)
+        times.append((time.thread_time() - started) / len(numbers))
+        if block in (tenth, len(blocks)):
+            gc.collect()
+            memory[block] = _resident_mb()
+    early, late = np.median(times[tenth : 2 * tenth] or times), np.median(times[-tenth:])
+    return {
+        "updates": count,
+        "violations": violations,
+        "growth_mb": round(max(0.0, memory[len(blocks)] - memory[tenth]), 2),
+        "us_per_update": round(1e6 * float(np.median(times)), 1),
+        "slow_down": round(float(late / early) - 1.0, 4),
+    }
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
