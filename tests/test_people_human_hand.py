@@ -1,15 +1,12 @@
-"""The wrist frame, and the human hand: closed forms, derivatives, anatomy, inverse kinematics, fitting."""
+"""The human hand: kinematics, anatomy, inverse kinematics, fitting."""
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from joint_angles import fitted_keypoints
 from scipy.spatial.transform import Rotation
 
 from geort_drake import Recording, read_recording, synthesize_play
 from geort_drake.errors import RecordingError
-from geort_drake.people import keypoints as kp
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 
@@ -142,33 +139,3 @@ def test_real_hands_are_reproduced(fixture, limit_mm, request):
     assert np.sqrt(np.mean(error[:, 4::4] ** 2)) < limit_mm
     assert np.sqrt(np.mean(error**2)) < 3.0
     assert np.sqrt(np.mean(error**2, axis=0)).max() < 5.0
-
-
-def hand_in_H(rng, frames=5):
-    hand = HumanHand.anatomical()
-    return hand.keypoints(rng.uniform(hand.lower, hand.upper, (frames, 20)))
-
-
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_the_wrist_frame_follows_any_motion_of_the_hand(seed):
-    """Moving the hand by X_WH, frame by frame, is found again and undone; bones keep their lengths."""
-    rng = np.random.default_rng(seed)
-    p_HK = hand_in_H(rng)
-    R_WH = Rotation.random(len(p_HK), rng=rng).as_matrix()
-    p_WH = rng.normal(size=(len(p_HK), 3))
-    p_WK = p_HK @ np.swapaxes(R_WH, 1, 2) + p_WH[:, None]
-    found_R, found_p = kp.wrist_pose(p_WK)
-    np.testing.assert_allclose(found_R, R_WH, atol=1e-10)
-    np.testing.assert_allclose(found_p, p_WH, atol=1e-12)
-    np.testing.assert_allclose(kp.to_wrist_frame(p_WK), p_HK, atol=1e-12)
-    np.testing.assert_allclose(kp.bone_lengths(p_WK), kp.bone_lengths(p_HK), atol=1e-12)
-
-
-def test_a_degenerate_hand_has_no_wrist_frame(rng):
-    """Where all keypoints coincide, the frame is NaN and other frames are unharmed."""
-    p_WK = hand_in_H(rng, 3)
-    p_WK[1] = 0.5
-    R_WH, _ = kp.wrist_pose(p_WK)
-    assert np.isnan(R_WH[1]).all()
-    assert np.isfinite(R_WH[[0, 2]]).all()
