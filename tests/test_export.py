@@ -25,6 +25,7 @@ COMMANDS = [
 ]  # fmt: skip
 FRAMES = {"cube-0": 30, "cube-1": 20}
 PERIOD = 0.02
+SCENARIO = "Resolved:\n  hand: allegro_right\n  hand_parent: adapter::hand_side\n"
 
 
 def command(t):
@@ -48,15 +49,22 @@ def glove(seconds):
 @pytest.fixture
 def run(tmp_path):
     """A run of two trials, written as the simulation writes it; the robot lags its commands by 0.1 rad."""
-    folder = tmp_path / "run"
+    return write_run(tmp_path / "run", FRAMES)
+
+
+def write_run(folder, lengths):
+    """Writes a run; `lengths` maps a trial's name to its number of frames."""
     trials = []
-    for number, (name, frames) in enumerate(FRAMES.items()):
+    for number, (name, frames) in enumerate(lengths.items()):
+        thing = name.partition("-")[0]
         t = PERIOD * np.arange(frames)
         asked = np.array([command(time) for time in t])
         with file_writer(folder / f"{name}.rrd") as writer:
             writer.at(t)
-            poses = np.array([[pose(body, time) for body in (0, 1)] for time in t])
-            writer.poses(["/world/hand/palm", "/world/cube/cube"], poses)
+            poses = np.array([[pose(body, time) for body in (0, 1, 2)] for time in t])
+            bodies = ["/world/hand/palm", f"/world/{thing}/{thing}", "/world/adapter/plate"]
+            writer.poses(bodies, poses)
+            writer.human_hand("/world/human", glove(frames * PERIOD).at(t).p_HK, (200, 150, 120))
             for key, columns in SERIES.items():
                 for kind, lag in (("command", 0.0), ("measured", 0.1)):
                     names = [f"{joint} {kind}" for joint in columns]
@@ -64,10 +72,10 @@ def run(tmp_path):
                     writer.series(path, names, asked[:, list(columns.values())] - lag)
             writer.states("/grasp", t > 0.1, ["reach", "hold"])
         glove(frames * PERIOD).save(folder / f"{name}.glove.npz")
-        trials.append({"object": "cube", "seed": number, "success": number == 0, "outcome": "success",
+        trials.append({"object": thing, "seed": int(name[-1]), "success": number == 0, "outcome": "success",
                        "phase_times": {"HOLD": 0.1}})  # fmt: skip
     (folder / "results.json").write_text(json.dumps({"trials": trials}))
-    (folder / "scenario.yaml").write_text("Resolved:\n  hand: allegro_right\n")
+    (folder / "scenario.yaml").write_text(SCENARIO)
     return folder
 
 
@@ -94,6 +102,28 @@ def test_parquet_holds_the_run(run, tmp_path):
         ("cube-0", True, 30), ("cube-1", False, 20)
     ]  # fmt: skip
     assert json.loads(trials[0]["phase_times"]) == {"HOLD": 0.1}
+
+
+def test_trials_of_several_objects_are_one_dataset(tmp_path):
+    """In Parquet each object has a column of poses, null in other trials; in LeRobot all objects share one."""
+    folder = write_run(tmp_path / "run", {"cylinder-0": 20, "cube-0": 30})
+    list(write_parquet(read_episodes(folder), tmp_path / "out"))
+    frames = pyarrow.dataset.dataset(tmp_path / "out" / "frames").to_table().to_pylist()
+    given = {
+        (row["episode"], name)
+        for row in frames
+        for name in row
+        if name[:5] == "pose." and row[name] is not None
+    }
+    assert given == {
+        (f"{thing}-0", f"pose.{body}")
+        for thing in ("cube", "cylinder")
+        for body in ("hand.palm", "adapter.plate", f"{thing}.{thing}")
+    }
+    list(write_lerobot(read_episodes(folder), tmp_path / "dataset"))
+    info = json.loads((tmp_path / "dataset" / "meta" / "info.json").read_text())
+    assert info["features"]["observation.environment_state"]["shape"] == [7]
+    assert info["total_episodes"] == 2
 
 
 def lerobot_episode(folder, episode):

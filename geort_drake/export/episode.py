@@ -12,6 +12,7 @@ import yaml
 from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording, newest
 from geort_drake.rerun.reader import read_samples
+from geort_drake.simulation.recording import HUMAN
 from geort_drake.simulation.scenario import scenario_fields
 from geort_drake.simulation.world import ARM, HAND
 
@@ -32,6 +33,7 @@ class Episode:
         facts: about the whole episode, JSON types; of a trial, its entry in results.json, and the metadata of
             the session that it replays.
         robot: name of the robot hand; None without a robot.
+        carrier: model between arm and hand, such as an adapter; empty without one.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Episode:
     poses: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
     facts: dict = dataclasses.field(default_factory=dict)
     robot: str | None = None
+    carrier: str = ""
 
     @property
     def command_names(self) -> list[str]:
@@ -61,7 +64,8 @@ class Episode:
     @property
     def handled_poses(self) -> dict[str, np.ndarray]:
         """The poses of bodies that are not the robot's."""
-        return {name: X for name, X in self.poses.items() if name.partition(".")[0] not in (ARM, HAND)}
+        robot = (ARM, HAND, self.carrier)
+        return {name: X for name, X in self.poses.items() if name.partition(".")[0] not in robot}
 
     def resampled(self, t: np.ndarray) -> "Episode":
         """The episode at other times (T,), s, each with the latest sample before it."""
@@ -92,7 +96,8 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
         report = json.loads(results.read_text(encoding="utf-8"))
         trials = [{**trial, "session": report.get("session", {})} for trial in report["trials"]]
         names = [f"{trial['object']}-{trial['seed']}" for trial in trials]
-        robot = scenario_fields((folder / SCENARIO).read_text(encoding="utf-8"))["hand"]
+        scenario = scenario_fields((folder / SCENARIO).read_text(encoding="utf-8"))
+        robot, carrier = Path(scenario["hand"]).stem, scenario["hand_parent"].partition("::")[0]
     except (ValueError, KeyError, TypeError, OSError, RecursionError, yaml.YAMLError) as error:
         raise RecordingError(f"{folder}: not the results of geort-drake grasp: {error}") from error
     if not names:
@@ -106,8 +111,9 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
     for name, facts in zip(names, trials, strict=True):
         samples = read_samples(folder / f"{name}.rrd")
         glove = Recording.load(folder / f"{name}.glove.npz").at(samples.t)
-        recorded = (samples.signals, samples.states, samples.poses)
-        yield Episode(name, samples.t, glove, *recorded, facts, Path(robot).stem)
+        # The person's hand is drawn beside the robot's, and is no body.
+        bodies = {body: X for body, X in samples.poses.items() if body.partition(".")[0] != HUMAN}
+        yield Episode(name, samples.t, glove, samples.signals, samples.states, bodies, facts, robot, carrier)
 
 
 def episode_of(recording: Recording, name: str) -> Episode:

@@ -1,4 +1,8 @@
-"""Episodes as Parquet files: frames/NAME.parquet, a row per sample; episodes.parquet, a row per episode."""
+"""Episodes as Parquet files: frames/NAME.parquet, a row per sample; episodes.parquet, a row per episode.
+
+All files in frames/ have the same columns, because readers of a folder take the columns of its first file. What
+an episode lacks, such as the pose of another episode's object, is null.
+"""
 
 import json
 import os
@@ -35,6 +39,7 @@ def write_parquet(episodes: Iterable[Episode], output: str | os.PathLike) -> Ite
             }
             lines.append({"episode": episode.name, "frames": len(episode.t), "robot": episode.robot, **facts})
             yield episode.name
+        _unify_columns(sorted((draft / FRAMES).iterdir()))
         pq.write_table(pa.Table.from_pylist(lines), draft / EPISODES)
 
 
@@ -51,8 +56,18 @@ def frame_table(episode: Episode) -> pa.Table:
         columns["glove.X_WH"] = rows(episode.glove.X_WH, lost)
     columns |= {name: pa.array(values) for name, values in episode.signals.items()}
     columns |= {f"state.{name}": pa.array(values) for name, values in episode.states.items()}
-    columns |= {f"pose.{name}": rows(values) for name, values in episode.poses.items()}
+    never = np.zeros(len(episode.t), bool)
+    columns |= {f"pose.{name}": rows(values, never) for name, values in episode.poses.items()}
     return pa.table(columns)
+
+
+def _unify_columns(files: list[Path]) -> None:
+    """Adds to each file, as nulls, the columns that only others have."""
+    schema = pa.unify_schemas([pq.read_schema(file) for file in files])
+    for file in files:
+        if pq.read_schema(file).names != schema.names:
+            whole = [schema.empty_table(), pq.read_table(file)]
+            pq.write_table(pa.concat_tables(whole, promote_options="default"), file)
 
 
 def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:

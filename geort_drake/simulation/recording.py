@@ -32,6 +32,7 @@ from geort_drake.simulation.world import HAND, actuated_joints, actuated_state
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.versions import version_of
 
+HUMAN = "human"  # key of the person's hand
 # Tabs of the plots.
 _FINGERS, _ANGLES, _TORQUES = "fingers", "joint angles", "joint torques"
 _SEEN_COLOR, _PATH_COLOR, _TARGET_COLOR = (255, 255, 255, 110), (235, 235, 235), (90, 220, 120)
@@ -104,7 +105,7 @@ def add_grasp_recorder(
         labels = [phase.name.lower() for phase in source.phases]  # type: ignore[attr-defined]
         specs["operator"] = StateSpec(source.GetOutputPort("phase"), labels)
     links = dict(zip(fingers, finger_links(plant, description, hand), strict=True))
-    specs["human"] = HandSpec(
+    specs[HUMAN] = HandSpec(
         hand_source.GetOutputPort("keypoints"),
         hand_source.GetOutputPort("wrist_pose"),
         # The operator's hand is never lost.
@@ -241,6 +242,6 @@ def _close_ups(
         views = *(view * [-1, 1, 1] for view in views[:2]), *(view * [1, -1, 1] for view in views[2:])
     base = plant.GetFrameByName(description.base_frame, hand)
     return {
-        "person's hand": CloseUpSpec("human", *views[:2]),
+        "person's hand": CloseUpSpec(HUMAN, *views[:2]),
         "robot hand": CloseUpSpec(base, *views[2:], see_through=list(bodies)),
     }
