@@ -2,7 +2,9 @@
 
 import contextlib
 import logging
+import signal
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -145,8 +147,11 @@ def track(
 def exit_code_of(function: Callable[[], int | None]) -> int:
     """Runs a program and returns its exit code: its own result, 2 for an error that the user can correct.
 
-    Warnings and errors are printed on stderr as their text alone.
+    Warnings and errors are printed on stderr as their text alone. SIGTERM interrupts like Ctrl-C, so that
+    drafts of files are removed.
     """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
     logging.getLogger("drake").addFilter(_first_of_its_kind())
     try:
         with warnings.catch_warnings():

@@ -1,9 +1,11 @@
 """The command geort-drake: finding commands, options, messages, exit codes, and what it refuses."""
 
 import json
+import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import warnings
@@ -22,7 +24,7 @@ from geort_drake.cli.options import (
     write_json,
 )
 from geort_drake.comparison import train as comparison_train
-from geort_drake.console import console, progress_bar, run_main, warn
+from geort_drake.console import console, exit_code_of, progress_bar, run_main, warn
 from geort_drake.errors import RecordingError
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
@@ -157,6 +159,16 @@ def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, 
     assert stopped.value.code == code
     assert capsys.readouterr() == ("", f"warning: joint [0] has moved little\n{said}")
     assert warnings.showwarning is shown
+
+
+def test_sigterm_interrupts_like_ctrl_c(capsys):
+    """So that the work's drafts are removed; schedulers and containers stop programs by it."""
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert exit_code_of(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 130
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 # -- the package
