@@ -142,6 +142,18 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
         raise OutputError(f"{target}: is a directory, not a file")
 
 
+def is_replaceable(target: str | os.PathLike, mark: str) -> bool:
+    """Whether `atomic_directory` may write `target`: a new or empty folder, or one with the file `mark`.
+
+    The current folder, given as ".", and mount points cannot be replaced.
+    """
+    path = Path(target)
+    if not path.exists():
+        return True
+    named = path.name not in ("", "..") and not path.is_mount()
+    return named and path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))
+
+
 def write_text(target: str | os.PathLike, text: str) -> None:
     """Writes `text` to `target` atomically, as UTF-8."""
     with atomic_path(target) as draft:

@@ -1,7 +1,7 @@
 """Episodes as Parquet files: frames/NAME.parquet, a row per sample; episodes.parquet, a row per episode.
 
-All files in frames/ have the same columns, because readers of a folder take the columns of its first file. What
-an episode lacks, such as the pose of another episode's object, is null.
+All files in frames/ have the same columns, because readers of a folder take the columns of its first file.
+What an episode lacks, such as the pose of another episode's object, is null.
 """
 
 import json
@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 
 from geort_drake.errors import OutputError
 from geort_drake.export.episode import Episode
-from geort_drake.files import atomic_directory
+from geort_drake.files import atomic_directory, is_replaceable
 
 FRAMES, EPISODES = "frames", "episodes.parquet"
 
@@ -82,7 +82,6 @@ def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:
 
 
 def check_replaceable(output: str | os.PathLike, mark: str) -> None:
-    """Raises OutputError unless `output` is absent, an empty folder, or an export with the file `mark`."""
-    path = Path(output)
-    if path.exists() and not (path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))):
-        raise OutputError(f"{path} exists and is not an earlier export; choose another name")
+    """Raises OutputError unless `output` may become an export; `mark` is a file of each export."""
+    if not is_replaceable(output, mark):
+        raise OutputError(f"{output} exists and is not an earlier export; choose another name")

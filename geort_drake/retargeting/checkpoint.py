@@ -20,7 +20,7 @@ import numpy as np
 from safetensors.numpy import load_file, save
 
 from geort_drake.errors import CheckpointError
-from geort_drake.files import atomic_directory, sha256_of
+from geort_drake.files import atomic_directory, is_replaceable, sha256_of
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 from geort_drake.retargeting.trained_space import TrainedSpace
@@ -141,8 +141,7 @@ def save_checkpoint(
 
 def check_replaceable(path: str | os.PathLike) -> None:
     """Raises CheckpointError if saving would replace something that is not a checkpoint."""
-    path = Path(path)
-    if path.exists() and not (path.is_dir() and ((path / CONFIG).is_file() or not any(path.iterdir()))):
+    if not is_replaceable(path, CONFIG):
         raise CheckpointError(
             f"{path} exists and is not a checkpoint; it would be replaced: choose another directory"
         )
