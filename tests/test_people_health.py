@@ -3,6 +3,7 @@
 import dataclasses as dc
 import json
 import re
+import warnings
 
 import glove_files as gloves
 import numpy as np
@@ -161,7 +162,8 @@ REFUSED = {
     ),
     "mediapipe of a mirrored picture": (
         lambda f, h: gloves.write_mediapipe(f, h, relabelled(dc.replace(h, side="left"), [["Right"]])),
-        "bend backwards .* read it with side 'left', and if the axes are mirrored also with --mirror",
+        "bend backwards .* read it with --side left, .* if the axes are mirrored, convert it with "
+        "--side left --mirror",
     ),
     "openxr with the palm second": (
         lambda f, h: gloves.write_openxr(f, h, joints=gloves.stacked(h.joints(), PALM_SECOND)),
@@ -269,3 +271,12 @@ def test_real_recordings_are_sound(alex_npy, manus_npz):
         findings += examine(recording)[1]
         assert [finding.check for finding in findings] == checks
         assert all(finding.severity is WARNING for finding in findings)
+
+
+@pytest.mark.parametrize("p_HK", [np.zeros((0, 21, 3)), np.full((9, 21, 3), np.nan)], ids=["empty", "lost"])
+def test_a_file_without_a_hand_is_refused_without_warnings(p_HK, tmp_path):
+    np.save(tmp_path / "hand.npy", p_HK)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(RecordingError, match=r"at least 2 frames|show no hand"):
+            read_recording(tmp_path / "hand.npy")

@@ -16,7 +16,7 @@ from geort_drake.cli.options import (
     output_file,
     output_folder,
 )
-from geort_drake.errors import UsageError
+from geort_drake.errors import RecordingError, UsageError
 
 _MAX_FRAMES = 5_000_000  # half a day at 120 Hz; needs two gigabytes of memory
 _RATE_HZ = 120.0
@@ -51,7 +51,11 @@ def _average(arguments: argparse.Namespace) -> int:
 
     output, hand = output_file(".npz")(arguments.output), None
     if arguments.hand_of is not None:
-        hand = HumanHand.fit(read_recording(arguments.hand_of, arguments.side))
+        person = read_recording(arguments.hand_of, arguments.side)
+        try:
+            hand = HumanHand.fit(person)
+        except RecordingError as error:
+            raise RecordingError(f"{arguments.hand_of}: {error}") from error
     rate = arguments.rate or _RATE_HZ
     made = synthesize_play(arguments.seed, arguments.duration, rate, hand, side=arguments.side)
     recording, findings = examine(made)

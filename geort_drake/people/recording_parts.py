@@ -154,7 +154,7 @@ def _recover(path: Path) -> Path | None:
 
 
 def _folder_of(path: Path) -> Path:
-    return path.with_name(path.name + _SUFFIX)
+    return path.parent / (path.name + _SUFFIX)  # also of ".", which has no name
 
 
 def _remove(folder: Path) -> None:

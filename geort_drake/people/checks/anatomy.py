@@ -59,7 +59,8 @@ def check_side(recording: Recording) -> Iterator[Finding]:
         other = SIDES[1 - SIDES.index(side)]
         what = f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a "
         what += f"{side} one in mirrored axes (such as Unity's, which are left-handed)"
-        advice = f"read it with side '{other}', and if the axes are mirrored also with --mirror"
+        advice = f"read it with --side {other}, or to get a {side} hand, also if the axes are mirrored, "
+        advice += f"convert it with --side {other} --mirror"
         yield error("handedness", what, "p_HK", advice)
     elif bending < _BENT:
         what = "the fingers hardly bend, so the side of the hand cannot be checked"

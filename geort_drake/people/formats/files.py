@@ -39,7 +39,9 @@ def load(path: Path) -> Source:
 def _load_folder(path: Path, faults: FrameFaults) -> list:
     files = sorted(path.glob("*.pkl"))
     if not files:
-        raise RecordingError(f"{path}: the folder contains no .pkl files, one per frame, as of HO-3D's meta")
+        raise RecordingError(
+            f"{path}: is a folder; a recording is a file, or a folder of .pkl files, one per frame (HO-3D)"
+        )
     for file in files:
         check_file(file)
     return _frames(files, load_plain, faults)

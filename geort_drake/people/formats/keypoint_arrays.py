@@ -42,7 +42,11 @@ def _is_geort(contents: Any) -> bool:
     """Whether the wrist is the origin in every frame, to 1 % of the palm."""
     if shape_in(contents, "data")[1:] != _SHAPE:
         return False
-    wrist, knuckle = np.nanmedian(np.abs(contents["data"][:, [WRIST, MIDDLE_MCP]]).max(axis=2), axis=0)
+    distances = np.abs(contents["data"][:, [WRIST, MIDDLE_MCP]]).max(axis=2)
+    seen = distances[~np.isnan(distances).any(axis=1)]
+    if not len(seen):
+        return False
+    wrist, knuckle = np.median(seen, axis=0)
     return bool(wrist < 0.01 * knuckle)
 
 
