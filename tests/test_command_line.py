@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
 from geort_drake.cli import COMMANDS, main, parser_of, run_command
@@ -26,6 +27,8 @@ from geort_drake.cli.options import (
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console, exit_code_of, progress_bar, run_main, warn
 from geort_drake.errors import RecordingError
+from geort_drake.hands.description import write_description
+from geort_drake.hands.importers.proposal import propose
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
@@ -209,9 +212,14 @@ def inputs(light_desk, play):
     np.save(folder / "millimetres.npy", 1000 * p_HK)
     np.save(folder / "nan.npy", lost)
     np.save(folder / "short.npy", p_HK[:100])
+    np.save(folder / "three.npy", p_HK[:3])
     (folder / "table.csv").write_text("0,0,0\n")
     play.save(folder / "no_wrist.npz")
     good = train_lightly("allegro_right", play, folder / "map")
+    weightless = write_hand(
+        folder, HandSpec(4, mimic=False), "weightless", {"(?s)<inertial>.*?</inertial>": ""}
+    )
+    write_description(propose(weightless).description, folder / "weightless.yaml")
     weights = Path(shutil.copytree(good, folder / "altered")) / "weights.safetensors"
     weights.write_bytes(weights.read_bytes()[:-1] + b"x")
     return folder
@@ -300,6 +308,9 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("evaluate --recording @/good.npy --held-out 181", ["held-out blocks must be 2 to 180", "not 181"]),
         ("evaluate --recording @/good.npy --held-out 1", ["held-out blocks must be 2 to 180", "not 1"]),
         ("synthesize out.npz --duration inf", ["--duration", "finite"]),
+        ("synthesize out.npz --hand-of @/three.npy", ["three.npy: fitting a hand needs at least 10 valid"]),
+        ("check-recording .", [".: is a folder; a recording is a file, or a folder of .pkl files"]),
+        ("grasp --hand @/weightless.yaml", ["'weightless': joints that move no mass", "thumb_j1", ".urdf"]),
         ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
         ("convert @/good.npy file/out.npz", ["file", "directory"]),
         ("check-recording @/no_wrist.npz --side left", ["no_wrist.npz", "right hand", "left one"]),
@@ -322,6 +333,12 @@ def test_an_unusable_recording_is_refused(refused, fault):
 def test_an_impossible_request_is_refused(refused, line, parts):
     """Names, numbers, inputs and outputs are checked before anything is trained, planned or simulated."""
     refused(line, *parts)
+
+
+def test_a_backend_that_is_not_installed_is_refused(refused, monkeypatch):
+    """Before the benchmark's folder is made."""
+    monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
+    refused("benchmark --backend ray", "the backend 'ray' needs Ray: pip install 'geort-drake[ray]'")
 
 
 @pytest.mark.parametrize("command", READERS)

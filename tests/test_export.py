@@ -105,7 +105,7 @@ def test_parquet_holds_the_run(run, tmp_path):
 
 
 def test_trials_of_several_objects_are_one_dataset(tmp_path):
-    """In Parquet each object has a column of poses, null in other trials; in LeRobot all objects share one."""
+    """In Parquet each object has a column of poses, null in other trials; in LeRobot they share one."""
     folder = write_run(tmp_path / "run", {"cylinder-0": 20, "cube-0": 30})
     list(write_parquet(read_episodes(folder), tmp_path / "out"))
     frames = pyarrow.dataset.dataset(tmp_path / "out" / "frames").to_table().to_pylist()

@@ -71,6 +71,15 @@ def call_in_workers(
         raise BenchmarkError(message) from error
 
 
+def require_backend(backend: str) -> None:
+    """Raises GeortError if a backend is not installed."""
+    if backend == "ray":
+        try:
+            import ray.util.joblib.ray_backend  # noqa: F401
+        except ImportError as error:
+            raise GeortError("the backend 'ray' needs Ray: pip install 'geort-drake[ray]'") from error
+
+
 def require_workers(jobs: int, backend: str) -> None:
     """Checks that a backend has enough workers; joins a Ray cluster, or starts one here.
 
@@ -80,11 +89,9 @@ def require_workers(jobs: int, backend: str) -> None:
     """
     if backend != "ray":
         return
-    try:
-        import ray
-        from ray.util.joblib.ray_backend import RayBackend
-    except ImportError as error:
-        raise GeortError("the backend 'ray' needs Ray: pip install 'geort-drake[ray]'") from error
+    require_backend(backend)
+    import ray
+    from ray.util.joblib.ray_backend import RayBackend
 
     class Backend(RayBackend):
         # Ray's pool yields results as they come, which the inherited class does not declare.

@@ -183,7 +183,7 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
     from geort_drake.benchmark.config import TRIALS
     from geort_drake.benchmark.records import TrialLog, outcome_line
     from geort_drake.benchmark.trials import plan_cases, run_trials
-    from geort_drake.benchmark.workers import require_workers
+    from geort_drake.benchmark.workers import require_backend, require_workers
     from geort_drake.comparison.retargeters import names_of
     from geort_drake.console import say, track, warn
     from geort_drake.hands.description import load_hand
@@ -193,6 +193,7 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
     first = next(iter(scenarios.values()))
     arguments.methods = arguments.methods or methods_for(first.hand)
     names = names_of(arguments.methods, arguments.trainings)
+    require_backend(arguments.backend)
     cases = {path: cases_of(find_task(each.task), arguments.objects) for path, each in scenarios.items()}
     everything = [name for each in scenarios.values() for name in find_task(each.task).cases()]
     for name in arguments.objects or ():

@@ -34,6 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.benchmark.replay import Replay
     from geort_drake.benchmark.report import MARKDOWN, write_replay_report
     from geort_drake.benchmark.trials import run_trials
+    from geort_drake.benchmark.workers import require_backend
     from geort_drake.console import print_table, say, track, warn
 
     replay = Replay(
@@ -45,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         parse_values(arguments.perturb, PERTURBATIONS),
         arguments.trials,
     )
+    require_backend(arguments.backend)
     with TrialLog(arguments.output / TRIALS) as log:
         replay.open(arguments.output)
         keys = replay.keys()

@@ -142,7 +142,7 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
     Raises:
         ScenarioError: a directive fails, the model `arm` or the frame `hand_parent` is missing, or an arm
             posture names an unknown joint.
-        HandError: the hand's model cannot be loaded or lacks the frame of the mount.
+        HandError: the hand's model cannot be loaded, lacks masses or the frame of the mount.
     """
     parser = Parser(plant)
     parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
@@ -227,6 +227,7 @@ def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDesc
     except RuntimeError as error:
         raise ScenarioError(f"scenario field hand_parent: {error}") from error
     hand = add_hand_model(plant, description, HAND)
+    _require_masses(plant, hand, description)
     limits = position_limits(plant, description, hand, f"hand '{description.name}'")
     for name, lower, upper in zip(description.joint_names, *limits, strict=True):
         plant.GetJointByName(name, hand).set_position_limits([lower], [upper])
@@ -295,6 +296,23 @@ def _scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: f
             actuator.set_controller_gains(
                 PdControllerGains(p=factor * gains.p, d=math.sqrt(factor) * gains.d)
             )
+
+
+def _require_masses(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription) -> None:
+    """Raises HandError if a joint of the hand moves no mass; the plant is not finalized."""
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices(hand)]
+
+    def moved_mass(joint: Joint) -> float:
+        link = joint.child_body()
+        outer = (other for other in joints if other.parent_body().index() == link.index())
+        return link.default_mass() + sum(map(moved_mass, outer))
+
+    idle = [joint.name() for joint in joints if joint.num_velocities() and not moved_mass(joint) > 0]
+    if idle:
+        raise HandError(
+            f"hand '{description.name}': joints that move no mass cannot be simulated: {', '.join(idle)}; "
+            f"give their links inertia in {description.model}"
+        )
 
 
 def _require_controllers(plant: MultibodyPlant, model: ModelInstanceIndex, owner: str) -> None:
