@@ -10,11 +10,6 @@ import pytest
 GLOVE_DIR = Path(__file__).resolve().parents[2] / "shared" / "glove"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Puts long tests first, so that at the end no worker waits for one."""
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
-
-
 def _recording_file(name: str) -> Path:
     path = GLOVE_DIR / name
     if not path.is_file():
