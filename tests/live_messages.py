@@ -5,8 +5,10 @@ import json
 import numpy as np
 
 from geort_drake import synthesize_play
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.web.hands import _VIEW_RAD
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import mirrored
 
@@ -33,6 +35,21 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
+
+
+def station(robot: str = "simulation", side: str = "right") -> OperatorStation:
+    """A station of the page for such a robot, on a clock that stands."""
+    tasks = {"grasp": ["cube", "cylinder", "sphere"], "keys": ["keys"]}
+    return OperatorStation(RobotInfo(side, f"allegro_{side}", robot, tasks, "universal map"), Clock())
+
+
+def known(operated: OperatorStation, person: int = 1) -> OperatorStation:
+    """The station with an operator whose first hands were checked."""
+    operated.join(person)
+    operated.take(person, hello())
+    for number in range(HANDSHAKE_FRAMES):
+        operated.take(person, headset(number))
+    return operated
 
 
 def own_fields(hand: np.ndarray, **changes) -> dict:

@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from live_messages import PLAY, Clock, headset, hello
+from live_messages import PLAY, headset, known, station
 from loop_bench import LoopBench
 
 from geort_drake import Recording, load_retargeter, load_scenario
@@ -25,7 +25,6 @@ from geort_drake.live.web.control import DONE, PageControl
 from geort_drake.live.web.exports import SessionExports
 from geort_drake.live.web.guide import DURATION_S
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
-from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.rerun.reader import read_samples
 from geort_drake.simulation.scenario import parse_scenario
 from geort_drake.simulation.tasks import task_names
@@ -55,13 +54,7 @@ class Page:
 
     def __init__(self, folder, retarget=UNIVERSAL, maps=(), **scenario):
         self.retarget, maps, self.scenario = retarget, iter(maps), scenario
-        tasks = {"grasp": ["cylinder", "cube"], "keys": ["keys"]}
-        about = RobotInfo("right", "allegro_right", "simulation", tasks, "universal map")
-        self.station = OperatorStation(about, Clock())
-        self.station.join(1)
-        self.station.take(1, hello())
-        for number in range(HANDSHAKE_FRAMES):
-            self.station.take(1, headset(number))
+        self.station = known(station())
         self.states, self.exported = [], []
         self.control = PageControl(
             self.station, self.states.append, folder, folder / "a_map", lambda path: next(maps),

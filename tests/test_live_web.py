@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from faults.mutations import changed, mutated
-from live_messages import PLAY, R_CW, Clock, camera, headset, hello, in_world
+from live_messages import PLAY, R_CW, camera, headset, hello, in_world, known, station
 from loop_bench import LoopBench
 
 from geort_drake import load_hand
@@ -16,26 +16,10 @@ from geort_drake.live.web.guide import DURATION_S, GuidedPlay
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
 from geort_drake.live.web.one_euro import OneEuroFilter
-from geort_drake.live.web.operator_station import OperatorStation, RobotInfo, is_fist
+from geort_drake.live.web.operator_station import is_fist
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING
-
-
-def station(robot: str = "simulation", side: str = "right") -> OperatorStation:
-    return OperatorStation(
-        RobotInfo(side, f"allegro_{side}", robot, {"grasp": ["cube", "sphere"]}, "a map"), Clock()
-    )
-
-
-def known(operated: OperatorStation, person: int = 1) -> OperatorStation:
-    """A station whose operator's first hands were checked."""
-    operated.join(person)
-    operated.take(person, hello())
-    for number in range(HANDSHAKE_FRAMES):
-        operated.take(person, headset(number))
-    return operated
-
 
 # -- hands
 
@@ -191,7 +175,7 @@ def test_a_malformed_message_is_refused_with_its_field(text, word):
 
 def test_an_unknown_object_is_refused_with_the_choices():
     operated = known(station())
-    with pytest.raises(LiveError, match="cube, sphere"):
+    with pytest.raises(LiveError, match="cube, cylinder, sphere"):
         operated.take(1, '{"type": "reset", "object": "moon"}')
     with pytest.raises(LiveError, match="there are grasp"):
         operated.take(1, '{"type": "reset", "task": "juggle"}')
