@@ -9,10 +9,10 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from grasp_setup import centred_map, human_with, person_who_plays, plans, scenario_with
+from grasp_setup import centred_map, goals, human_with, person_who_plays, scenario_with
 from pydrake.systems.primitives import DiscreteTimeDelay
 
-from geort_drake import load_hand, load_scenario, make_trial_diagram
+from geort_drake import load_scenario, make_trial_diagram
 from geort_drake.simulation import operators
 from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.operators.perception import FreePlay
@@ -60,18 +60,10 @@ def test_goals_tell_places_and_no_postures():
 
 
 @cache
-def goal_of(task: str):
-    """A right hand's."""
-    if task != "pick_place":
-        return plans(task)[0].goal
-    return find_task(task).plans(load_scenario(*find_task(task).scenario), load_hand("allegro_right"))[0]
-
-
-@cache
 def diagram_of(task: str, hand: str) -> TrialDiagram:
     if task == "grasp":
         return make_trial_diagram(scenario_with(text=f"{{hand: {hand}}}"), centred_map(), human_with())
-    goal = goal_of(task) if hand == "allegro_right" else goal_of(task).mirrored()
+    goal = goals(task)[0] if hand == "allegro_right" else goals(task)[0].mirrored()
     scenario = load_scenario(*find_task(task).scenario, hand=hand)
     return make_trial_diagram(scenario, centred_map(), (person_who_plays(), goal))
 

@@ -11,6 +11,7 @@ from grasp_setup import (
     allegro,
     attempt,
     centred_map,
+    goals,
     outcome_of,
     person_who_plays,
     plans,
@@ -376,11 +377,10 @@ def test_a_left_hand_has_its_place_on_the_other_side():
 
 def test_a_person_brings_a_block_to_its_place():
     """Through an affine map."""
-    task, person = find_task("pick_place"), person_who_plays()
-    scenario = load_scenario(*task.scenario)
-    retarget = centred_map()
+    person, retarget = person_who_plays(), centred_map()
+    scenario = load_scenario(*find_task("pick_place").scenario)
     play = seen_fingertips(retarget, allegro(), person)
-    goal, _ = keep_reached(task.plans(scenario, allegro().description), play)
+    goal, _ = keep_reached(goals("pick_place"), play)
     result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success, result.outcome
 
