@@ -67,7 +67,13 @@ def test_text_is_merged_over_the_file():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{tiemout: 3}", "tiemout"),
+        ("{tiemout: 3}", "unknown field 'tiemout'; choose one of: .*timeout"),
+        ("{object: {nam: cube}}", "unknown field 'object.nam'; choose one of: .*name"),
+        ("{timeout: long}", "field timeout must be a number; given: 'long'"),
+        ("{object: {position: [0.5, left]}}", r"field object\.position\.1 must be a number; given: 'left'"),
+        ("{object: cube}", "field object must be a mapping with some of: .*name.*; given: 'cube'"),
+        ("timeout", "must be a mapping with some of: .*timeout.*; given: 'timeout'"),
+        ("{timeout: 3", r"line 1, column 12: expected ',' or '}', but got '<stream end>'$"),
         ("{timeout: .nan}", "timeout must be positive and finite, not nan"),
         ("{plant_config: {contact_model: glue}}", r"plant_config: .*'glue'"),
         ("{retargeting: {period: 0.003}}", r"retargeting\.period must be a multiple of .* not 0\.003"),

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import yaml
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from geort_drake.errors import HandError, UnknownNameError
@@ -13,6 +14,7 @@ from geort_drake.files import require_fetched, write_text
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import SIDES
 from geort_drake.resources import PACKAGE_NAME, models_dir
+from geort_drake.yaml_files import check_fields, fault_of
 
 
 @dc.dataclass
@@ -237,9 +239,10 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
         raise HandError(f"the hand description {path} is missing")
     require_fetched(path, HandError)
     try:
+        check_fields(yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader), HandDescription)
         hand = yaml_load_typed(schema=HandDescription, filename=str(path))
     except Exception as error:  # the loader raises RuntimeError, YAMLError, TypeError, ValueError, ...
-        raise HandError(f"the hand description {path} is malformed: {error}") from error
+        raise HandError(f"the hand description {path} is malformed: {fault_of(error)}") from error
     try:
         hand.validate()
     except HandError as error:

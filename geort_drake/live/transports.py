@@ -71,7 +71,7 @@ def open_sender(address: str) -> Sender:
 
 def is_address(text: str) -> bool:
     """Returns whether a glove's source looks like an address rather than a file."""
-    return text.partition("+")[0] in (*_RECEIVERS, "lcm")
+    return "://" in text or text.partition("+")[0] in (*_RECEIVERS, "lcm")
 
 
 def split_address(address: str, patterns: tuple[str, ...] = ()) -> tuple[str, str]:

@@ -14,6 +14,7 @@ from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.simulation.scenario import ObjectConfig, Scenario, object_file
 from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.update_timing import check_timing
+from geort_drake.yaml_files import check_fields, fault_of
 
 # Rule → numeric fields.
 _RULES = (
@@ -124,13 +125,14 @@ def load_scenario(
     try:
         node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ScenarioError(f"scenario file {path} must map names to scenarios: {error}") from error
+        raise ScenarioError(f"scenario file {path} must map names to scenarios: {fault_of(error)}") from error
     if not isinstance(node, yaml.MappingNode):
         raise ScenarioError(f"scenario file {path} must map names to scenarios")
     _refuse_duplicates(node, str(path))
-    choices = [key.value for key, _ in node.value]
+    choices = {key.value: content for key, content in node.value}
     if name not in choices:
         raise UnknownNameError(f"scenario in {path}", name, choices)
+    _check_fields(choices[name], f"scenario '{name}' in {path}")
     scenario = _merged(path, name, text, Scenario())
     scenario.hand = hand or scenario.hand
     check_scenario(scenario)
@@ -149,13 +151,22 @@ def _merged(path: Path, name: str, text: str | None, defaults: Scenario) -> Scen
         scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=defaults)
         if text:
             source = f"text merged into {source}"
-            _refuse_duplicates(yaml.compose(text, Loader=yaml.SafeLoader), source)
+            node = yaml.compose(text, Loader=yaml.SafeLoader)
+            _refuse_duplicates(node, source)
+            _check_fields(node, source)
             scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
     except ScenarioError:
         raise
     except Exception as error:  # Drake's loader raises many types for faulty YAML
-        raise ScenarioError(f"{source}: {error}") from error
+        raise ScenarioError(f"{source}: {fault_of(error)}") from error
     return scenario
+
+
+def _check_fields(node: yaml.Node | None, source: str) -> None:
+    try:
+        check_fields(node, Scenario)
+    except ValueError as error:
+        raise ScenarioError(f"{source}: {error}") from error
 
 
 def _refuse_duplicates(root: yaml.Node | None, source: str) -> None:
