@@ -8,7 +8,8 @@ from geort_drake import load_retargeter
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.systems.retargeting_map import RetargetingMap
 
-retarget = load_retargeter("runs/allegro_right")
+open_hand = HumanHand.anatomical().keypoints(np.zeros(20))
+retarget = load_retargeter("allegro_right").for_person(open_hand)
 tips = [4, 8, 12, 16]
 systems = {float: RetargetingMap(retarget)}
 systems[AutoDiffXd] = systems[float].ToAutoDiffXd()
@@ -24,11 +25,11 @@ def positions(p_HF):
     return systems[T].get_output_port().Eval(contexts[T])
 
 
-open_hand = HumanHand.anatomical().keypoints(np.zeros(20))[tips].ravel()
-target = positions(open_hand + 0.005)
+start = open_hand[tips].ravel()
+target = positions(start + 0.005)
 
 program = MathematicalProgram()
 p_HF = program.NewContinuousVariables(12, "p_HF")
 program.AddCost(lambda p: ((positions(p) - target) ** 2).sum(), vars=p_HF)
-result = Solve(program, open_hand)
+result = Solve(program, start)
 error = np.abs(positions(result.GetSolution(p_HF)) - target).max()  # rad

@@ -27,7 +27,7 @@ plant.set_gravity_enabled(model, False)
 plant.Finalize()
 
 # The glove's keypoints become joint targets, in the plant's actuator order.
-retarget = load_retargeter("runs/allegro_right")
+retarget = load_retargeter("allegro_right")
 actuated = [plant.get_joint_actuator(i).joint().name() for i in plant.GetJointActuatorIndices(model)]
 replay = builder.AddSystem(GloveReplay(synthesize_play(seed=1, duration_s=5.0)))
 retargeting = builder.AddSystem(

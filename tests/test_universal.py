@@ -105,6 +105,7 @@ def test_it_works_at_once_and_as_one_persons_map():
     own = retarget.for_person(PLAY)
     np.testing.assert_allclose(retarget(PLAY), own(PLAY))
     np.testing.assert_allclose(retarget(PLAY[0]), retarget(PLAY[:1])[0])
+    np.testing.assert_allclose(retarget.for_person(PLAY[0])(PLAY), retarget.for_person(PLAY[:1])(PLAY))
     tips = PLAY[0, list(retarget.human_keypoints)]
     np.testing.assert_allclose(own(tips), own(PLAY[0]))
     assert own.jacobian(tips).shape == (12, 4, 3)
@@ -118,7 +119,7 @@ def test_it_refuses_what_shows_no_person():
     retarget = random_retargeter()
     with pytest.raises(ValueError, match="for_person"):
         retarget(PLAY[0, :4])
-    for call, frames in ((retarget, PLAY[:0]), (retarget.for_person, PLAY[0])):
+    for call, frames in ((retarget, PLAY[:0]), (retarget.for_person, PLAY[0, :4])):
         with pytest.raises(ValueError, match="whole hands"):
             call(frames)
     for frame, message in ((np.full((21, 3), np.nan), "finite"), (np.zeros((21, 3)), "hardly any length")):

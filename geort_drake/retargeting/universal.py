@@ -128,10 +128,10 @@ class UniversalRetargeter:
             GeortError: a coordinate is not finite, or the fingers have no length.
         """
         p_HK = np.asarray(p_HK, dtype=float)
-        return self.folded(self.code(p_HK[None] if p_HK.ndim == 2 else p_HK))(p_HK)
+        return self.folded(self.code(p_HK))(p_HK)
 
     def for_person(self, p_HK: np.ndarray) -> CoupledRetargeter:
-        """The map of the person in keypoints p_HK (T, 21, 3), m, for their fingertips or keypoints.
+        """The map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m, for fingertips or keypoints.
 
         Its `trained_space` contains the places that the fingertips visited.
 
@@ -141,21 +141,24 @@ class UniversalRetargeter:
         p_HK = np.asarray(p_HK, dtype=float)
         retargeter = self.folded(self.code(p_HK))
         keypoints = list(self.human_keypoints)
-        retargeter.trained_space = TrainedSpace(trained_points(p_HK[:, keypoints]), keypoints)
+        p_HF = p_HK.reshape(-1, KEYPOINT_COUNT, 3)[:, keypoints]
+        retargeter.trained_space = TrainedSpace(trained_points(p_HF), keypoints)
         return retargeter
 
     def code(self, p_HK: np.ndarray) -> np.ndarray:
-        """The code (15 F,) of the person in keypoints p_HK (T, 21, 3), m; see `AveragePerson.code`.
+        """The code (15 F,), see `AveragePerson.code`, of the person in keypoints p_HK (T, 21, 3) or (21, 3), m.
 
         Raises:
             ValueError, GeortError: as for a call.
         """
         p_HK = np.asarray(p_HK, dtype=float)
+        given = p_HK.shape
+        p_HK = p_HK[None] if p_HK.ndim == 2 else p_HK
         if p_HK.ndim != 3 or p_HK.shape[1:] != (KEYPOINT_COUNT, 3) or len(p_HK) == 0:
             hands = f"({KEYPOINT_COUNT}, 3) or (N, {KEYPOINT_COUNT}, 3) with N > 0"
             raise ValueError(
                 f"the hand's shape is estimated from whole hands, {hands}, not from points of shape "
-                f"{p_HK.shape}; for fingertips alone, call the map that `for_person` returns"
+                f"{given}; for fingertips alone, call the map that `for_person` returns"
             )
         if not np.isfinite(p_HK).all():
             raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
