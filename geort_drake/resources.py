@@ -15,11 +15,6 @@ def resource_root() -> Path:
     return package if (package / "models").is_dir() else package.parent
 
 
-def is_checkout() -> bool:
-    """Whether this is a checkout, whose `models/` a user may add to, and no installed wheel."""
-    return not (Path(__file__).resolve().parent / "models").is_dir()
-
-
 def models_dir() -> Path:
     """Directory of the SDF files and hand descriptions."""
     return resource_root() / "models"

@@ -1,7 +1,7 @@
 """Describe a robot hand from its URDF, SDF or MJCF model, or check a description.
 
 geort-drake add-hand my_hand.urdf
-geort-drake train --hand models/hands/my_hand.yaml --output runs/my_hand
+geort-drake train --hand my_hand.yaml --output runs/my_hand
 """
 
 import argparse
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from geort_drake.cli.options import CommandParser, command, finish, output_file, view, write_json
 from geort_drake.errors import OutputError, UsageError
 from geort_drake.files import require_writable
-from geort_drake.resources import is_checkout, models_dir
 
 if TYPE_CHECKING:
     from geort_drake.hands.description import HandDescription
@@ -36,8 +35,7 @@ def add_arguments(parser: CommandParser) -> None:
         metavar="LINK",
         help="link that carries the fingers (default: where most joint chains start)",
     )
-    folder = "models/hands/" if is_checkout() else ""
-    add("--output", type=Path, metavar="FILE", help=f"description to write (default: {folder}NAME.yaml)")
+    add("--output", type=Path, metavar="FILE", help="description to write (default: NAME.yaml)")
     add("--overwrite", action="store_true", help="replace the description if it exists")
     hulls = (
         "write a copy in which links without collision geometry collide with their visual geometry's hulls"
@@ -92,8 +90,7 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
     if arguments.output is not None and arguments.output.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{arguments.output}: the name must end with .yaml")
     name = arguments.name or "".join(c if c.isalnum() else "_" for c in given.stem)
-    folder = models_dir() / "hands" if is_checkout() else Path()
-    path = arguments.output or folder / f"{name}.yaml"
+    path = arguments.output or Path(f"{name}.yaml")
     if path.exists() and not arguments.overwrite:
         raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
     require_writable(path)

@@ -233,6 +233,8 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
         path = models_dir() / "hands" / f"{text}.yaml"
     elif Path(text).suffix in (".yaml", ".yml") or os.sep in text:
         path = Path(text)
+    elif Path(text).is_file():
+        raise HandError(f"{text}: a hand is described in .yaml; geort-drake add-hand describes a model")
     else:
         raise UnknownNameError("hand", text, hand_names())
     if not path.is_file():

@@ -114,6 +114,7 @@ def resolve_reference(model: Path, name: str) -> Path:
             place = parent if parent.name == package[1] else parent / package[1]
             if place.is_dir():
                 return (place / (package[2] or "")).resolve()
+        name = "/".join(part for part in package.groups() if part)  # where it may be put
     return (folder / name.removeprefix("file://")).resolve()
 
 
