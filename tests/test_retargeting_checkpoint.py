@@ -90,8 +90,8 @@ def test_a_checkpoint_for_another_hand_is_refused(tmp_path, allegro):
     load_retargeter(path, allegro)
     facts = {name: getattr(allegro, name) for name in ("finger_names", "joint_names", "digest")}
     for changes, message in (
-        ({"joint_names": ["a", "b"]}, "its joints is joint_12.*expected is a, b"),
-        ({"digest": "def"}, f"its model digest is {allegro.digest}, expected is def"),
+        ({"joint_names": ["a", "b"]}, "joints joint_12.*expected a, b"),
+        ({"digest": "def"}, f"model digest {allegro.digest}, expected def"),
     ):
         with pytest.raises(CheckpointError, match=f"another hand, 'allegro_right': {message}"):
             load_retargeter(path, SimpleNamespace(**facts | changes))

@@ -15,9 +15,9 @@ from pathlib import Path
 
 from geort_drake.cli.options import (
     CommandParser,
-    at_least,
     command,
     finish,
+    port,
     positive,
     scenario_of,
     write_json,
@@ -55,7 +55,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--record", type=Path, metavar="PATH", help=record)
     local = "address of the page; beyond this machine, it uses TLS with a self-signed certificate"
     add("--host", default="127.0.0.1", help=local)
-    add("--port", type=at_least(0), default=8742, help="port of the page; 0 for any")
+    add("--port", type=port, default=8742, help="port of the page; 0 for any")
     add("--no-open", action="store_true", help="do not open the browser")
     add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
     parser.add_json("a report")

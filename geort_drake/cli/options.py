@@ -154,6 +154,7 @@ def at_least(lowest: int) -> Callable[[str], int]:
 
 
 positive = _number(float, lambda value: value > 0, "a positive number")  # or inf
+port = _number(int, lambda value: 0 <= value < 65536, "a port from 0 to 65535")
 finite = _number(float, lambda value: 0 < value < math.inf, "a positive, finite number")
 
 

@@ -80,8 +80,8 @@ class Checkpoint:
         for what, (expected, given) in comparisons.items():
             if expected != given:
                 raise CheckpointError(
-                    f"{self.path}: the checkpoint is for another hand, '{self.hand['name']}': its {what} "
-                    f"is {_listed(given)}, expected is {_listed(expected)}; train one for this hand"
+                    f"{self.path}: the checkpoint is for another hand, '{self.hand['name']}': {what} "
+                    f"{_listed(given)}, expected {_listed(expected)}; train one for this hand"
                 )
 
 
