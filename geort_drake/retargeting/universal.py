@@ -146,7 +146,7 @@ class UniversalRetargeter:
         return retargeter
 
     def code(self, p_HK: np.ndarray) -> np.ndarray:
-        """The code (15 F,), see `AveragePerson.code`, of the person in keypoints p_HK (T, 21, 3) or (21, 3), m.
+        """The code (15 F,) of the person in keypoints p_HK (21, 3) or (T, 21, 3), m (`AveragePerson.code`).
 
         Raises:
             ValueError, GeortError: as for a call.
