@@ -17,7 +17,7 @@ from rerun_world import GRAVITY, World, constant, entities, read, rerun, steps
 from scipy.spatial.transform import Rotation
 
 from geort_drake import CloseUpSpec, PointsSpec, SignalSpec, StateSpec, add_rerun_recorder
-from geort_drake.errors import RecordingError, ScenarioError
+from geort_drake.errors import OutputError, RecordingError, ScenarioError
 from geort_drake.live.transports import wait_for
 from geort_drake.rerun import RerunRecorder, recorder, take_screenshot
 from geort_drake.rerun.layout import Layout
@@ -90,6 +90,12 @@ def test_properties_keep_their_types_from_one_recording_to_the_next(tmp_path):
         assert value[0].tolist() == [seed]
         _, value = read(world.recorder.path, "/__properties/run", "outcome")
         assert value[0].tolist() == ["held"]
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_simulation(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(OutputError, match="file is not a directory that can be written to"):
+        World().finalize().record(tmp_path / "file" / "a.rrd")
 
 
 def test_an_interrupted_simulation_leaves_a_whole_file(tmp_path):

@@ -12,6 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 
 from geort_drake.errors import ScenarioError
+from geort_drake.files import require_writable
 from geort_drake.rerun.layout import VIEW_FROM, Layout, followed_bodies
 from geort_drake.rerun.plant import Contacts, ContactSpec, Poses
 from geort_drake.rerun.recorder import RerunRecorder
@@ -60,8 +61,13 @@ def add_rerun_recorder(
 
     Raises:
         ScenarioError: the plant is not finalized; a port does not fit or is in another diagram; the period
-            or `view_from` is invalid; or there is neither a file nor a viewer. The builder is unchanged then.
+            or `view_from` is invalid; or there is neither a file nor a viewer.
+        OutputError: the file cannot be written.
+
+    The builder is unchanged then.
     """
+    if path is not None:
+        require_writable(path)
     where = path or "live recording"
     if path is None and not viewers:
         raise ScenarioError("a recorder needs a file, viewers, or both; given: neither")
