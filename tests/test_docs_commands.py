@@ -11,7 +11,7 @@ import pytest
 from light_training import train_lightly
 from pages import PAGES, ROOT, lines_of
 
-from geort_drake import load_hand, load_scenario, synthesize_play
+from geort_drake import load_hand, load_scenario, run_trial, synthesize_play
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console
@@ -126,6 +126,23 @@ def test_commands_run(chain, desk, capsys):
         assert key in json.loads(captured.out) if key else captured.out == ""
         for suggestion in re.findall(r"^next: (.*)$", captured.err, re.MULTILINE):
             check_suggestion(shlex.split(suggestion))
+
+
+@pytest.mark.slow
+def test_an_interrupted_grasp_keeps_the_trials_that_ended(desk, monkeypatch):
+    """They can be exported like those of a whole run."""
+
+    def one_trial(scenario, *arguments):
+        if scenario.random_seed > 0:
+            raise KeyboardInterrupt
+        return run_trial(scenario, *arguments)
+
+    monkeypatch.setattr("geort_drake.run_trial", one_trial, raising=False)
+    line = f"--objects cylinder --trials 2 --retargeter hold --output stopped {SHORT}"
+    with pytest.raises(KeyboardInterrupt):
+        run_command("grasp", shlex.split(line))
+    assert run_command("export", ["stopped", "stopped_table"]) == 0
+    assert [path.name for path in Path("stopped_table/frames").iterdir()] == ["cylinder-0.parquet"]
 
 
 def check_suggestion(words: list[str]) -> None:

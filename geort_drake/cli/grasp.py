@@ -125,7 +125,16 @@ def run(arguments: argparse.Namespace) -> int:
         seen = seen_fingertips(after_play(retarget, person), hand, person)
         found = {scenario.object.name for scenario in scenarios}
         goals = {name: keep_reached(plans[name], seen)[0] for name in found}
+    report: dict[str, Any] = {
+        "version": __version__,
+        "human_motion": source,
+        "recording_sha256": recording.digest,
+        "retargeter": str(checkpoint or method),
+        "session": session,
+    }
     results = []
+    # That of the first trial; the others differ in object and seed, which are in results.json.
+    write_text(arguments.output / "scenario.yaml", dump_scenario(scenarios[0]))
     with progress_bar() as display:
         update = display.counter("grasping")
         for done, scenario in enumerate(scenarios):
@@ -144,21 +153,15 @@ def run(arguments: argparse.Namespace) -> int:
             )
             glove.save(arguments.output / f"{stem}.glove.npz")
             results.append(result)
+            # After each trial, so that an interrupted run keeps those that ended.
+            report |= {
+                "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+                "successes": sum(result.success for result in results),
+                "trials": [result.to_json() for result in results],
+            }
+            write_json(arguments.output / "results.json", report)
         update(len(scenarios), len(scenarios))
 
-    report = {
-        "version": __version__,
-        "human_motion": source,
-        "recording_sha256": recording.digest,
-        "retargeter": str(checkpoint or method),
-        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "successes": sum(result.success for result in results),
-        "trials": [result.to_json() for result in results],
-        "session": session,
-    }
-    write_json(arguments.output / "results.json", report)
-    # That of the first trial; the others differ in object and seed, which are in results.json.
-    write_text(arguments.output / "scenario.yaml", dump_scenario(scenarios[0]))
     print_table(
         ("object", "seed", "outcome", "hold at", "attempts", "height", "force", "speed"),
         [_row(result) for result in results],
