@@ -5,8 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from geort_drake.benchmark.folder import Benchmark
+from geort_drake.benchmark.records import TrialKey, TrialLog
 from studies.distorted_map import FACTORS, DistortedMap, Distortion, design, distortion_of, half
 from studies.predictor_analysis import CRITERIA, analyse, main_effects, map_means, threshold, verdict
+from studies.predictors import Place, order
 
 FINGERS = ("thumb", "index", "middle", "ring")
 RUNS = design()
@@ -158,3 +161,37 @@ def test_the_analysis_of_synthetic_trials_finds_what_was_put_in(rng):
     share = {label: each["dominance"] for label, each in cell["criteria"].items()}
     assert sorted(share, key=share.get)[-2:] != ["coverage at 10 mm", "latency, s"]
     assert sum(share[c.label] for c in CRITERIA if c.factor in ("rotation", "cross_talk")) > 0.85
+
+
+def test_reliability_is_the_share_that_repeats(rng):
+    """Maps of variance 9 and noise of variance 36 in 4 seeds: 9 / (9 + 9)."""
+    found = [map_means(synthetic(rng, np.zeros(7), maps=3.0, noise=6.0)).reliability for _ in range(200)]
+    assert np.median(found) == pytest.approx(0.5, abs=0.07)
+    assert np.isnan(map_means(synthetic(rng, np.zeros(7), seeds=1)).reliability)
+
+
+def test_every_prefix_of_the_trials_is_balanced_and_finished_ones_are_left_out(tmp_path):
+    """Seed by seed; a map has all its tasks before the next one begins."""
+    places = []
+    for name, maps in (("servo", ["a", "b", "c", "d"]), ("mimicry", ["a", "c"])):
+        config = {"settings": {"scenario": {"random_seed": 0}}}
+        benchmark = Benchmark(tmp_path, config, "", None, {}, {})
+        places.append(Place(TrialLog(tmp_path / f"{name}.jsonl"), benchmark, {"x": [], "y": []}, maps))
+    queue = order(places, 3)
+    assert len(queue) == len({(place.log.path, key) for place, key in queue}) == 3 * 2 * (4 + 2)
+    assert [key.seed for _, key in queue] == sorted(key.seed for _, key in queue)
+    blocks = [key.method for _, key in queue if key.seed == 1]
+    assert blocks == sorted(blocks, key=blocks.index) and set(blocks) == {"a", "b", "c", "d"}
+    for place, key in queue[:7]:
+        place.log.append(
+            {"method": key.method, "object": key.object, "seed": key.seed, "error": "", "traceback": ""}
+        )
+    for place in places:
+        place.log.close()
+    places = [place._replace(log=TrialLog(place.log.path)) for place in places]
+    assert len(order(places, 3)) == 36  # errors are repeated
+    finished = [place._replace(log=SimpleNamespace(unfinished=lambda keys: keys[1:])) for place in places]
+    left = order(finished, 3)
+    assert len(left) == 34 and TrialKey("a", "x", 0) not in {key for _, key in left}
+    for place in places:
+        place.log.close()

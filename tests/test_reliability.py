@@ -1,19 +1,22 @@
 """Hostile inputs, faults, kills and full disks: refused or survived; and trials obey physics."""
 
+import dataclasses as dc
 import functools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from faults import disks, kills
 from faults.hostile import CASES, faults_of
 from faults.mutations import fuzz as fuzz_readers
-from faults.physics import watched
+from faults.physics import ENERGY, watched
 from faults.systems import COMMANDS, FAULTS, WRIST_FAULTS, fuzz_arm, fuzz_guard, fuzz_system, soak
 from grasp_setup import centred_map, human_with, scenario_with
 
 from geort_drake import files, make_trial_diagram
 from geort_drake.errors import OutputError
 from geort_drake.files import atomic_directory, write_text
+from geort_drake.simulation.diagram import TrialDiagram
 
 
 @pytest.mark.parametrize("case", CASES, ids=str)
@@ -61,13 +64,38 @@ def test_updates_do_not_grow_the_memory():
         assert result["growth_mb"] <= 10.0, name
 
 
+def grasp() -> TrialDiagram:
+    scenario = scenario_with("cylinder", "{monitor: {hold_time: 0.5}}")
+    return make_trial_diagram(scenario, centred_map(), human_with())
+
+
 def test_a_grasp_obeys_physics():
     """No energy without work, penetration of at most 3 mm, no motor beyond its limit."""
-    scenario = scenario_with("cylinder", "{monitor: {hold_time: 0.5}}")
-    seen = watched(make_trial_diagram(scenario, centred_map(), human_with()), 8.0)
+    seen = watched(grasp(), 8.0)
     assert seen.violations == 0, seen
     assert seen.contacts > 100 and 0.05 < seen.effort <= 1.0 + 1e-6
     assert 0 < seen.penetration <= 3e-3
+
+
+class Idle:
+    """A plant that reports no work of its motors."""
+
+    def __init__(self, plant):
+        self._plant = plant
+
+    def __getattr__(self, name: str):
+        return getattr(self._plant, name)
+
+    def get_net_actuation_output_port(self):
+        return SimpleNamespace(Eval=lambda _context: np.zeros(self._plant.num_actuators()))
+
+
+def test_energy_without_work_is_noticed():
+    """The arm's motion has no source if the motors' work is left out."""
+    parts = grasp()
+    seen = watched(dc.replace(parts, plant=Idle(parts.plant)), 2.0)
+    assert seen.gained > ENERGY
+    assert seen.violations > 0 == seen.effort
 
 
 # -- kills and disks

@@ -9,6 +9,7 @@ from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_collides, toy_dat
 
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting.methods.geort import PRESETS, GeortConfig, train_geort, training
+from geort_drake.retargeting.training.soap import Soap
 
 QUICK = GeortConfig(
     steps=200, points=64, targets=96, pinches=32, frames=32, hidden=32,
@@ -105,3 +106,23 @@ def test_unusable_input_is_refused_with_what_is_expected():
     if not torch.cuda.is_available():
         with pytest.raises(TrainingError, match="no CUDA device"):
             quick(device="cuda")
+
+
+def test_gradients_are_clipped_together():
+    """A gradient a thousand times too long moves as one of the greatest length does, in all groups."""
+
+    def ends(factor):
+        parameters = [torch.nn.Parameter(torch.ones(2, 3, 4)), torch.nn.Parameter(torch.ones(1, 4))]
+        soap = Soap([{"params": [p], "weight_decay": 0.0} for p in parameters], lr=0.1, eps=1.0, clip=0.5)
+        generator = torch.Generator().manual_seed(0)
+        for _ in range(3):
+            gradients = [torch.randn(p.shape, generator=generator) for p in parameters]
+            length = torch.cat([g.flatten() for g in gradients]).norm()
+            for parameter, gradient in zip(parameters, gradients, strict=True):
+                parameter.grad = factor * 0.5 / length * gradient
+            soap.step()
+        return [p.detach() for p in parameters]
+
+    for clipped, longest, shorter in zip(ends(1000.0), ends(1.0), ends(0.5), strict=True):
+        torch.testing.assert_close(clipped, longest, atol=1e-5, rtol=0)
+        assert (shorter - longest).abs().max() > 1e-3
