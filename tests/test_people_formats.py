@@ -187,7 +187,7 @@ def test_the_wrong_side_is_noticed_in_a_file_that_states_none(tmp_path, side):
     path = gloves.write_geort(tmp_path, dc.replace(moving(), side=side))
     assert read_recording(path, side).metadata["rate_known"] is False
     assert read_recording(path, side, rate_hz=50.0).rate_hz == pytest.approx(50.0)
-    with pytest.raises(RecordingError, match=f"bend backwards .* {side} hand .* side '{side}'"):
+    with pytest.raises(RecordingError, match=f"bend backwards .* {side} hand .* --side {side}"):
         read_recording(path, "left" if side == "right" else "right")
 
 
