@@ -155,7 +155,8 @@ def filmed(playwright, browser, address, tmp_path_factory):
     camera = launch(playwright, file, "--disable-3d-apis")  # neither tracker nor view need WebGL
     page = open_page(camera, stub, f"{address}/#key", {"script": READ_NUMBERS})
     page.wait_for_selector("body[data-state=tracking]")
-    until(page, lambda: len(stub.of("camera")) >= 30)
+    # Of a whole run of the film, which takes 3 s.
+    until(page, lambda: len(seen := stub.of("camera")) >= 30 and seen[-1]["t"] - seen[0]["t"] > 3.2)
     messages = stub.of("camera")
     assert page.is_visible("#plain")
     numbers = dict(page.evaluate("numbers"))
