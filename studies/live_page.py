@@ -22,7 +22,7 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from live_page import FLAT, PINCH, WEB, PagePerson, goal_of, launch, serve  # noqa: E402  # noqa: E402
+from live_page import FLAT, PINCH, WEB, PagePerson, goal_of, launch, serve  # noqa: E402
 from pydrake.systems.analysis import Simulator  # noqa: E402
 
 from geort_drake.hands.description import load_hand  # noqa: E402

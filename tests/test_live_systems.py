@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from live_messages import Clock, Inbox, nodes_of, own_fields
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench, Watch
 
 from geort_drake import read_recording, synthesize_play
@@ -22,7 +23,7 @@ from geort_drake.live.session import EnterKey, play, run_in_real_time
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_STALE
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.retargeting_system import SETTLING, TRACKING, RetargetingStatus
+from geort_drake.systems.retargeting_system import SETTLING, TRACKING, RetargetingStatus, RetargetingSystem
 
 PLAY = synthesize_play(4, duration_s=6.0, rate_hz=100.0)
 PERIOD = 0.01
@@ -177,6 +178,45 @@ def test_playback_sends_every_frame_when_it_is_due():
     frames = [json.loads(text) for text in sent]
     np.testing.assert_allclose([frame["time"] for frame in frames], 7.0 + PLAY.t - PLAY.t[0])
     np.testing.assert_array_equal([frame["p_HK"] for frame in frames], PLAY.p_HK.astype(float))
+
+
+def test_engaging_never_makes_the_joints_jump():
+    """The glove moves while the person is disengaged; then the hand eases to it within its limits."""
+    limits = JointLimits(np.full(4, -1.0), np.full(4, 1.0))
+    retarget = lambda points: np.clip(10 * points[[4, 8, 12, 16], 0], -1, 1)  # noqa: E731
+    names = ["a", "b", "c", "d"]
+    builder = DiagramBuilder()
+    stream = StreamBench()
+    glove = builder.AddSystem(stream.stream)
+    switch = builder.AddSystem(EngageSwitch())
+    retargeting = builder.AddSystem(
+        RetargetingSystem(retarget, names, names, dict.fromkeys(names, 0.3), PERIOD, limits)
+    )
+    builder.Connect(glove.GetOutputPort("valid"), switch.GetInputPort("valid"))
+    builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
+    builder.Connect(switch.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
+    builder.ExportInput(switch.GetInputPort("engaged"), "engaged")
+    bench = SystemBench(builder.Build(), PERIOD, 1.0)
+
+    def tick(i: int, engaged: bool):
+        bench.fix(engaged=engaged)
+        stream.inbox.messages.append(message(i))
+        bench.advance()
+        return bench.value("desired_state", retargeting)[:4], bench.value("status", retargeting).state
+
+    held = [tick(i, False) for i in range(100)]
+    assert all((q == 0.3).all() for q, _ in held)
+    assert held[-1][1] == HELD_LOST
+    followed = [tick(i, True) for i in range(100, 250)]
+    q = np.array([q for q, _ in followed])
+    wanted = retarget(PLAY.p_HK[100].astype(float))
+    # Full speed is reached after half a second of easing.
+    assert np.abs(wanted - 0.3).max() > 0.2
+    assert np.abs(np.diff(np.vstack([held[-1][0], q]), axis=0))[:25].max() <= 0.5 * 7.0 * PERIOD
+    assert followed[-1][1] == TRACKING
+    np.testing.assert_allclose(q[-1], retarget(PLAY.p_HK[248].astype(float)), atol=0.1)
+    stopped = [tick(i, False) for i in range(250, 300)]
+    assert (stopped[-1][0] == stopped[-2][0]).all()
 
 
 # -- the watchdog

@@ -56,7 +56,7 @@ def frame_table(episode: Episode) -> pa.Table:
         columns["glove.X_WH"] = rows(episode.glove.X_WH, lost)
     columns |= {name: pa.array(values) for name, values in episode.signals.items()}
     columns |= {f"state.{name}": pa.array(values) for name, values in episode.states.items()}
-    never = np.zeros(len(episode.t), bool)
+    never = np.zeros(len(episode.t), bool)  # missing; but in other files, these columns are null
     columns |= {f"pose.{name}": rows(values, never) for name, values in episode.poses.items()}
     return pa.table(columns)
 
