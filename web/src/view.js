@@ -20,10 +20,12 @@ const BESIDE = 0.24;
 const BESIDE_SHARE = 0.28;
 // What browsers without a GPU call their WebGL.
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
-// Of pictures that the processor draws: pixels at most, and the pause after each while a hand tracker needs the
-// processor, in multiples of the time that the picture took.
+// Of pictures that the processor draws: pixels at most, and the time from one to the next while a hand tracker needs
+// the processor, in multiples of the time that a picture takes, which is the shortest of the last few: the others were
+// interrupted.
 const MOST_PIXELS = 700_000;
-const PAUSE = 6;
+const INTERVAL = 7;
+const TIMED_PICTURES = 10;
 const HIGHLIGHT = "#00a892";
 // Where a headset shows the middle of the scene, m: ahead of the person, who looks past the arm's right side.
 const HEADSET_TARGET = new THREE.Vector3(-0.3, 0.95, -0.9);
@@ -59,7 +61,8 @@ export class View {
     this.scene.add(this.headsetHand, this.sign);
     this.bodies = [];
     this.yielding = false; // to a hand tracker, which needs the processor
-    this.rested = 0; // when the next picture may be drawn, ms
+    this.next = 0; // when the next picture may be drawn, ms
+    this.times = []; // that the last pictures took, ms
     this.target = new THREE.Vector3();
 
     new ResizeObserver(() => this.#resize()).observe(canvas);
@@ -197,11 +200,12 @@ export class View {
     else if (this.inHeadset) return;
     else this.controls.update();
     // A picture is drawn only when something has changed, which leaves time to the hand tracker.
-    if (!frame && (!this.stale || time < this.rested)) return;
+    if (!frame && (!this.stale || time < this.next)) return;
     this.stale = false;
     this.#move();
     (this.inHeadset ?? this.renderer).render(this.scene, this.camera);
-    if (this.plain && this.yielding) this.rested = time + PAUSE * (performance.now() - began);
+    this.times = [performance.now() - began, ...this.times].slice(0, TIMED_PICTURES);
+    if (this.plain && this.yielding) this.next = Math.max(time, this.next + INTERVAL * Math.min(...this.times));
   }
 }
 
