@@ -21,10 +21,12 @@ from geort_drake.errors import LiveError
 from geort_drake.files import writing
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
-from geort_drake.live.web.control import DONE, PageControl
+from geort_drake.live.web import personal_map
+from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.exports import SessionExports
-from geort_drake.live.web.guide import DURATION_S
+from geort_drake.live.web.guide import DURATION_S, GuidedPlay
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
+from geort_drake.live.web.personal_map import DONE, PersonalMap
 from geort_drake.rerun.reader import read_samples
 from geort_drake.simulation.scenario import parse_scenario
 from geort_drake.simulation.tasks import task_names
@@ -57,7 +59,8 @@ class Page:
         self.station = known(station())
         self.states, self.exported = [], []
         self.control = PageControl(
-            self.station, self.states.append, folder, folder / "a_map", lambda path: next(maps),
+            self.station, self.states.append, folder,
+            PersonalMap(folder / "a_map", lambda path: next(maps)),
             lambda *session: self.exported.append(session),
         )  # fmt: skip
         self.sessions = self.hands = 0
@@ -261,10 +264,10 @@ def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_parts(tmp_path, m
 
 def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_path, monkeypatch):
     """Also after a reset, which keeps the person's map; without consent nothing of it is kept."""
-    monkeypatch.setattr(page_control, "Refitting", Fit)
+    monkeypatch.setattr(personal_map, "Refitting", Fit)
     page = Page(tmp_path, maps=(OWN, OTHERS))
     page.run(Engage(), steps=100)
-    guide = page_control.GuidedPlay(0.0, "right")
+    guide = GuidedPlay(0.0, "right")
     for i in range(round(50 * DURATION_S) + 50):
         guide.see(i / 50, PLAY.p_HK[i % len(PLAY.p_HK)])
     monkeypatch.setattr(page.control, "_guide", guide)
@@ -289,8 +292,8 @@ def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_pa
 
 def test_a_map_of_one_person_is_not_made_mine(tmp_path):
     """The page is told why."""
+    (tmp_path / "a_map").mkdir()
     page = Page(tmp_path, OWN)
-    page.control._retargeter = tmp_path
     page.run(Refit(), steps=10)
     assert "universal map" in json.loads(page.states[-1])["refit"]["text"]
 

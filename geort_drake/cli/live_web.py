@@ -16,6 +16,7 @@ from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.exports import SessionExports
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
+from geort_drake.live.web.personal_map import PersonalMap
 from geort_drake.live.web.serve import open_server
 from geort_drake.live.web.session import WebTeleoperation
 from geort_drake.simulation.following import RobotModel
@@ -61,8 +62,7 @@ def run_web(
             station,
             server.publish,
             arguments.record or _RECORDINGS,
-            checkpoint,
-            lambda fitted: load(fitted, description, arguments.backend),
+            PersonalMap(checkpoint, lambda fitted: load(fitted, description, arguments.backend)),
             exports.write,
         )
         teleoperation = WebTeleoperation(

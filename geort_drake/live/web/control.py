@@ -1,8 +1,6 @@
 """Carries out what the page asks of a session, and tells the page what happens in it."""
 
 import math
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -19,55 +17,15 @@ from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.live.web.guide import GuidedPlay
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation
+from geort_drake.live.web.personal_map import PersonalMap
 from geort_drake.people.recording_parts import RecordingParts
-from geort_drake.retargeting.method import Retarget
-from geort_drake.retargeting.retargeter import Retargeter
 from geort_drake.systems.glove_recorder import GloveRecorder
-from geort_drake.systems.retargeting_status import HELD_OTHER_PERSON
 
 _STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
-DONE = {"state": "done", "text": "the map is yours"}
 WAITING = "begins when you engage"
 # Phase of a task in which a fist lets nothing fall.
 UNTOUCHED = "reach"
 _NEWEST = 300  # samples of the delay that is shown
-
-
-class Refitting:
-    """Fits the universal map to a person, in a separate process with low priority.
-
-    Args:
-        recording: file of the person's hand.
-        output: directory of the result.
-        hand: name or file of the robot hand's description.
-        map_file: the map.
-    """
-
-    def __init__(self, recording: Path, output: Path, hand: str, map_file: Path):
-        self.output = output
-        command = [sys.executable, "-m", "geort_drake", "refit", recording, output, "--hand", hand, "--quiet"]
-        self._process = subprocess.Popen(
-            ["nice", "-n", "10", *map(str, [*command, "--map", map_file])],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-
-    def state(self) -> dict[str, str]:
-        """The state for the page."""
-        code = self._process.poll()
-        if code is None:
-            return {"state": "running", "text": "the map is being fitted to your hand"}
-        if code == 0:
-            return DONE
-        assert self._process.stderr is not None
-        return {"state": "failed", "text": self._process.stderr.read().strip()[-300:] or "the fit failed"}
-
-    def close(self) -> None:
-        """Ends the process."""
-        self._process.kill()
-        self._process.communicate()
 
 
 class PageControl:
@@ -84,8 +42,7 @@ class PageControl:
         station: where commands come from.
         publish: sends a state to all pages.
         folder: of recordings.
-        retargeter: checkpoint, or file of a universal map, which can be fitted to the person.
-        load: returns the retargeter of the fitted map's directory.
+        personal_map: the map in use, which can be fitted to the person.
         export: writes other files of a recording; see `SessionExports.write`.
     """
 
@@ -94,12 +51,11 @@ class PageControl:
         station: OperatorStation,
         publish: Callable[[str], None],
         folder: Path,
-        retargeter: Path,
-        load: Callable[[Path], Retarget],
+        personal_map: PersonalMap,
         export: Callable[[Path, Path, bool], None],
     ):
         self._station, self._publish, self._folder = station, publish, folder
-        self._retargeter, self._load, self._export = retargeter, load, export
+        self._map, self._export = personal_map, export
         self.loop: Teleoperation
         self.recorder: GloveRecorder
         self.task: str | None = None
@@ -117,19 +73,14 @@ class PageControl:
         self._finishing: list[threading.Thread] = []
         self._guide: GuidedPlay | None = None
         self._missing: list[str] = []
-        self._refit: Refitting | None = None
-        # The person's own map, and whether it shall take over.
-        self._fitted: Retargeter | None = None
-        self._fitted_file = retargeter
-        self._takes_over = False
-        self._refit_state: dict[str, str] | None = None
 
     def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
         """Begins a session with a numbered scene, and facts for its recordings: robot, task, object, seed."""
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
         self.task, self.object = facts.get("task"), facts.get("object")
         self._started = math.nan
-        self.again, self._takes_over = False, self._fitted is not None
+        self.again = False
+        self._map.begin_session()
         recorder.switch(None)
 
     def end(self) -> None:
@@ -142,8 +93,7 @@ class PageControl:
             say(f"Writing the files of recordings ({busy}); Ctrl-C keeps only the recordings themselves")
         for thread in self._finishing:
             thread.join()
-        if self._refit is not None:
-            self._refit.close()
+        self._map.close()
         self._private.cleanup()
 
     def step(self, root: Context, engaged: bool) -> bool:
@@ -168,7 +118,9 @@ class PageControl:
             elif isinstance(command, Guide):
                 self._guide, self._missing = GuidedPlay(time.monotonic(), self._station.about.side), []
             elif isinstance(command, Refit):
-                self._begin_refit()
+                # Without consent, a person's play and map end with the command.
+                kept = self._folder if self._consent else Path(self._private.name)
+                self._map.begin_fit(self._guide, self._station.about.hand, kept)
         if self._parts is not None and self._parts.failed:
             self._consent = False
             self._finish_recording()
@@ -178,8 +130,7 @@ class PageControl:
         # A replay follows from its start, as the robot does from its engagement.
         if engaged and self._consent and self._parts is None:
             self._record()
-        self._watch_refit()
-        self._hand_over_map()
+        self._map.step(self.loop, root)
         now = time.monotonic()
         if self._guide is not None:
             self._guide.see(now, self._station.p_HK)
@@ -207,7 +158,7 @@ class PageControl:
             "source": "live web page",
             "consent": True,
             "device": operator and operator.device,
-            "map": "map fitted to the person" if self._fitted else self._station.about.map,
+            "map": "map fitted to the person" if self._map.is_fitted else self._station.about.map,
             "began": self._clock(self._root),
             **self._facts,
         }
@@ -226,8 +177,7 @@ class PageControl:
         parts, self._parts = self._parts, None
         self.recorder.switch(None)
         facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
-        driver = self._fitted_file if self._fitted else self._retargeter
-        simulated = self.loop.simulation is not None
+        driver, simulated = self._map.file, self.loop.simulation is not None
 
         # Joining takes longer than a step of the loop, and a replay much longer.
         def finish() -> None:
@@ -241,48 +191,6 @@ class PageControl:
 
         self._finishing.append(threading.Thread(target=finish, name="finishing", daemon=True))
         self._finishing[-1].start()
-
-    def _begin_refit(self) -> None:
-        if self._refit is not None:
-            return
-        if self._retargeter.is_dir():
-            text = "only the universal map can be fitted; start without --retargeter"
-            self._refit_state = {"state": "failed", "text": text}
-            return
-        if self._guide is None or self._guide.seconds_left > 0.0:
-            self._refit_state = {"state": "failed", "text": "guided play comes first"}
-            return
-        # Without consent, a person's play and map end with the command.
-        folder = self._folder if self._consent else Path(self._private.name)
-        path = folder / time.strftime("%Y-%m-%dT%H-%M-%S-guided.npz")
-        try:
-            self._guide.recording().save(path)
-        except (GeortError, IndexError) as error:
-            self._refit_state = {"state": "failed", "text": str(error)}
-            return
-        self._refit = Refitting(path, path.with_suffix(""), self._station.about.hand, self._retargeter)
-
-    def _watch_refit(self) -> None:
-        if self._refit is None:
-            return
-        self._refit_state = self._refit.state()
-        if self._refit_state["state"] != "running":
-            if self._refit_state == DONE:
-                fitted = self._load(self._refit.output)
-                assert isinstance(fitted, Retargeter)
-                self._fitted, self._takes_over = fitted, True
-                self._fitted_file = self._refit.output
-            self._refit = None
-
-    def _hand_over_map(self) -> None:
-        """Gives the person's own map to the loop, once a session, unless another person has come."""
-        if self._fitted is None:
-            return
-        if self._takes_over:
-            self.loop.change_map(self._root, self._fitted)
-            self._takes_over = False
-        elif self.loop.state(self._root) == HELD_OTHER_PERSON:
-            self._fitted = None
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
         station, guide = self._station, self._guide
@@ -311,7 +219,7 @@ class PageControl:
                 "seconds_left": guide.seconds_left,
                 "missing": self._missing,
             },
-            "refit": self._refit_state,
+            "refit": self._map.state,
         }
 
     def _clock(self, root: Context) -> float:
