@@ -11,20 +11,20 @@ export class Camera {
     this.mirror = mirror;
     this.onResult = onResult;
     this.onFailure = onFailure;
-    // Not in the page: without a GPU, the browser takes longer to show a video than to track the hand in it.
+    // The page never shows this element: without a GPU, showing a video takes longer than tracking the hand in it.
     this.video = Object.assign(document.createElement("video"), { muted: true, playsInline: true });
   }
 
   async start() {
-    if (!navigator.mediaDevices) throw new Error("the browser gives it to https and this machine only");
+    if (!navigator.mediaDevices) throw new Error("browsers allow it only on https pages and on this machine");
     const use = (this.use = {});
     const stream = await navigator.mediaDevices.getUserMedia({
       video: { width: { ideal: 640 }, height: { ideal: 480 }, frameRate: { ideal: 30 }, facingMode: "user" },
     });
-    // The person may have stopped it before the browser gave it.
+    // The person may have stopped the camera before the browser granted it.
     if (this.use !== use) return stopTracks(stream);
     this.stream = stream;
-    // As when it is unplugged, or its permission withdrawn.
+    // For example, somebody unplugged it or withdrew the permission.
     this.stream.getVideoTracks()[0].onended = () => this.onFailure("The camera has stopped.");
     this.busy = true;
     this.worker = new Worker("worker.js");
@@ -55,7 +55,7 @@ export class Camera {
       if (!this.worker) return;
       this.#watch();
       const t = (picture.captureTime ?? now) / 1000;
-      // Firefox on phones has no VideoFrame; the other takes longer.
+      // Firefox on phones has no VideoFrame; createImageBitmap takes longer.
       this.#keep({ frame: self.VideoFrame ? new VideoFrame(this.video) : await createImageBitmap(this.video), t });
       this.#give();
     });

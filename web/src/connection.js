@@ -45,7 +45,7 @@ export class Connection {
   }
 }
 
-/** The server's words for a refused connection, which a WebSocket does not tell; "" where no server answers. */
+/** Returns the server's reason for refusing a connection, which a WebSocket hides; "" if no server answers. */
 async function whyRefused(url) {
   try {
     const response = await fetch(url.href.replace(/^ws/, "http"));

@@ -5,7 +5,7 @@ import { mergeGeometries, mergeVertices, toCreasedNormals } from "three/addons/u
 
 const CREASE = Math.PI / 5;
 
-/** `n`: edges of a circle. */
+/** Shapes by name, from sizes and the number `n` of edges per circle. */
 const SHAPES = {
   box: ([x, y, z]) => new THREE.BoxGeometry(x, y, z),
   ellipsoid: ([a, b, c], n) => new THREE.SphereGeometry(1, n, n / 2).scale(a, b, c),
@@ -38,11 +38,11 @@ async function makeGeometry({ shape, size, url, color: [red, green, blue], pose 
 }
 
 /**
- * Makes the meshes of a scene. A body's geometries of one opacity share a mesh, as every mesh costs time.
+ * Makes the meshes of a scene. Geometries of one body with the same opacity share a mesh, because each mesh costs time.
  *
  * @param {object[]} geometries of `/scene`
  * @param {typeof THREE.Material} Material
- * @param {number} edges of a circle
+ * @param {number} edges per circle
  * @returns {Promise<{moving: number | null, mesh: THREE.Mesh}[]>}
  */
 export async function makeMeshes(geometries, Material, edges) {

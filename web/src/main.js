@@ -7,14 +7,14 @@ import { show, showTasks } from "./panel.js";
 import { View } from "./view.js";
 
 const VERSION = 1;
-// How long the reason of a refusal is shown.
+// How long the page shows why a request was refused.
 const REFUSAL_MS = 4000;
-// Browsers' own words differ, and some are none.
+// Browsers' own messages differ, and some are empty.
 const REASONS = {
   NotAllowedError: "the browser does not allow it",
-  NotFoundError: "there is none",
+  NotFoundError: "none was found",
   NotReadableError: "another program uses it",
-  OverconstrainedError: "there is none",
+  OverconstrainedError: "none was found",
 };
 const element = (id) => document.getElementById(id);
 const UNSEEN = { seen: false, side: "", score: 0, rate: 0, delay: 0 };

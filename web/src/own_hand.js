@@ -10,7 +10,7 @@ const KEYPOINTS = 21;
 export class OwnHand extends THREE.Group {
   /**
    * @param {typeof THREE.Material} Material
-   * @param {number} edges of a circle
+   * @param {number} edges per circle
    */
   constructor(Material, edges) {
     super();

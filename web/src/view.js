@@ -15,19 +15,20 @@ const WORLD = new THREE.Matrix4().makeBasis(
   new THREE.Vector3(-1, 0, 0),
   new THREE.Vector3(0, 1, 0),
 );
-// The own hand is drawn this far to the right of the robot's, m, and nearer to it in a near view.
-const BESIDE = 0.24;
-const BESIDE_SHARE = 0.28;
-// What browsers without a GPU call their WebGL.
+// The person's hand is drawn to the right of the robot's. The distance is this many metres, but at most this share of
+// the viewing distance.
+const HAND_DISTANCE = 0.24;
+const HAND_DISTANCE_SHARE = 0.28;
+// Names of WebGL renderers that run without a GPU.
 const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
-// Of pictures that the processor draws: pixels at most, and the time from one to the next while a hand tracker needs
-// the processor, in multiples of the time that a picture takes, which is the shortest of the last few: the others were
-// interrupted.
+// Without a GPU, a picture has at most this many pixels. While a hand tracker needs the processor, pictures follow each
+// other at this multiple of the time that drawing takes. That time is the shortest of the last few: other programs
+// interrupted the longer ones.
 const MOST_PIXELS = 700_000;
 const INTERVAL = 7;
 const TIMED_PICTURES = 10;
 const HIGHLIGHT = "#00a892";
-// Where a headset shows the middle of the scene, m: ahead of the person, who looks past the arm's right side.
+// Position of the scene's centre in a headset, m: ahead of the person, who looks past the arm's right side.
 const HEADSET_TARGET = new THREE.Vector3(-0.3, 0.95, -0.9);
 
 export class View {
@@ -53,16 +54,16 @@ export class View {
     this.world = new THREE.Group();
     this.world.applyMatrix4(WORLD);
     this.scene.add(this.world, this.#makeSun());
-    this.edges = this.plain ? 16 : 32; // of a circle
+    this.edges = this.plain ? 16 : 32; // per circle
     this.ownHand = new OwnHand(this.Material, this.edges);
     this.headsetHand = new OwnHand(this.Material, this.edges);
     this.sign = new Sign();
     this.sign.visible = false;
     this.scene.add(this.headsetHand, this.sign);
     this.bodies = [];
-    this.yielding = false; // to a hand tracker, which needs the processor
-    this.next = 0; // when the next picture may be drawn, ms
-    this.times = []; // that the last pictures took, ms
+    this.yielding = false; // whether a hand tracker needs the processor
+    this.next = 0; // earliest time of the next picture, ms
+    this.durations = []; // of drawing the last pictures, ms
     this.target = new THREE.Vector3();
 
     new ResizeObserver(() => this.#resize()).observe(canvas);
@@ -160,15 +161,15 @@ export class View {
     const body = this.bodies[moving];
     this.ownHand.quaternion.copy(body.quaternion).multiply(base.quaternion);
     this.ownHand.position.copy(base.position).applyQuaternion(body.quaternion).add(body.position);
-    this.ownHand.position.add(this.#beside());
+    this.ownHand.position.add(this.#toHand());
   }
 
-  /** Sideways in the first picture, in W. */
-  #beside() {
+  /** Returns the vector from the robot's hand to the person's, in W: to the right in the first picture. */
+  #toHand() {
     const { eye, target } = this.description.camera;
     const ahead = new THREE.Vector3(...target).sub(new THREE.Vector3(...eye));
-    const beside = Math.min(BESIDE, BESIDE_SHARE * ahead.length());
-    return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(beside);
+    const distance = Math.min(HAND_DISTANCE, HAND_DISTANCE_SHARE * ahead.length());
+    return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(distance);
   }
 
   #makeSun() {
@@ -199,13 +200,13 @@ export class View {
     if (frame) this.onFrame?.(time, frame, this.inHeadset.xr.getReferenceSpace());
     else if (this.inHeadset) return;
     else this.controls.update();
-    // A picture is drawn only when something has changed, which leaves time to the hand tracker.
+    // Drawing only after a change leaves time for the hand tracker.
     if (!frame && (!this.stale || time < this.next)) return;
     this.stale = false;
     this.#move();
     (this.inHeadset ?? this.renderer).render(this.scene, this.camera);
-    this.times = [performance.now() - began, ...this.times].slice(0, TIMED_PICTURES);
-    if (this.plain && this.yielding) this.next = Math.max(time, this.next + INTERVAL * Math.min(...this.times));
+    this.durations = [performance.now() - began, ...this.durations].slice(0, TIMED_PICTURES);
+    if (this.plain && this.yielding) this.next = Math.max(time, this.next + INTERVAL * Math.min(...this.durations));
   }
 }
 

@@ -3,8 +3,8 @@
 /**
  * @typedef {object} Model
  * @property {boolean} connected
- * @property {object | null} welcome and `state`: the server's last messages of these types.
- * @property {object | null} state
+ * @property {object | null} welcome the server's last message of this type
+ * @property {object | null} state the server's last message of this type
  * @property {"camera" | "headset" | null} device
  * @property {string} failure why the device cannot be used, or ""
  * @property {string} refusal of the last message, or ""
