@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import torch
 from faults.sound import (
+    FINGERS,
     JOINTS,
+    LOWER,
     TIPS,
+    UPPER,
     checkpoint,
     play,
     smooth_arrays,
@@ -19,7 +22,7 @@ from retargeting_toy import toy_kinematics, uneven_kinematics
 from system_bench import Bench
 
 from geort_drake import Retargeter, load_retargeter
-from geort_drake.errors import CheckpointError, HandError
+from geort_drake.errors import CheckpointError, GeortError, HandError
 from geort_drake.retargeting.checkpoint import REQUIRED, load_checkpoint
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 from geort_drake.retargeting.training.networks import RetargetingNetwork
@@ -154,7 +157,8 @@ def test_a_checkpoint_tells_where_it_was_trained_and_an_older_one_still_loads(tm
 
 def test_the_map_has_exact_gradients_in_autodiff():
     """Those of the Jacobian, by joint name and keypoint; all other keypoints have none."""
-    retarget = smooth_retargeter()
+    tips = (4, 12, 8, 16)  # a hand's description may swap fingers
+    retarget = Retargeter(smooth_arrays(), FINGERS, JOINTS, tips, LOWER, UPPER)
     keypoints = hands(1)[0]
     order = JOINTS[::-1]
     system = RetargetingMap(retarget, order)
@@ -166,7 +170,9 @@ def test_the_map_has_exact_gradients_in_autodiff():
     differentiable.get_input_port().FixValue(context, InitializeAutoDiff(keypoints.ravel())[:, 0])
     q = differentiable.get_output_port().Eval(context)
     expected = np.zeros((16, 21, 3))
-    expected[:, list(TIPS)] = retarget.jacobian(keypoints)[::-1]
+    expected[:, list(tips)] = retarget.jacobian(keypoints)[::-1]
     np.testing.assert_allclose(ExtractGradient(q[:, None]).reshape(16, 21, 3), expected, atol=1e-12)
     with pytest.raises(HandError, match="the retargeter moves"):
         RetargetingMap(retarget, ("a",))
+    with pytest.raises(GeortError, match="its for_person"):
+        RetargetingMap(load_retargeter("allegro_right"))

@@ -24,6 +24,7 @@ class Retargeter:
     Attributes:
         finger_names: F fingers, in the order of the inputs.
         joint_names: n joints, in the order of the outputs.
+        human_keypoints: F keypoints that are the human fingertips.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
         trained_space: fingertip positions seen in training; None in checkpoints of version 0.1.
     """
@@ -57,6 +58,7 @@ class Retargeter:
                 limit is not finite or beyond ±100 rad.
         """
         self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
+        self.human_keypoints = tuple(human_keypoints)
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
         for name, limits in (("lower", self.lower), ("upper", self.upper)):
             if not (np.abs(limits) <= MAX_ANGLE).all():

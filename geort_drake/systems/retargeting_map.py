@@ -8,10 +8,9 @@ from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, Ini
 from pydrake.systems.framework import BasicVector_, Context, LeafSystem_
 from pydrake.systems.scalar_conversion import SystemScalarConverter, TemplateSystem
 
-from geort_drake.errors import HandError
+from geort_drake.errors import GeortError, HandError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
-from geort_drake.retargeting.human_points import HumanPoints
-from geort_drake.retargeting.retargeter import Retargeter
+from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter
 
 
 @TemplateSystem.define("RetargetingMap_", T_list=[float, AutoDiffXd])
@@ -30,12 +29,12 @@ def RetargetingMap_(T: type) -> type:
             positions (n): joint positions, rad, in the order of `actuated_joints`.
 
         Args:
-            retarget: a `Retargeter`.
+            retarget: a `Retargeter`; of a universal map, the one that `for_person` returns.
             actuated_joints: the retargeter's joints in the order of the output; None keeps its order.
 
         Raises:
             HandError: the actuated joints are not the retargeter's.
-            UnknownNameError: a finger's name has no keypoint.
+            GeortError: the retargeter is a universal map, which has no Jacobian.
         """
 
         def _construct(
@@ -45,6 +44,8 @@ def RetargetingMap_(T: type) -> type:
             converter: SystemScalarConverter | None = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
+            if isinstance(retarget, UniversalRetargeter):
+                raise GeortError("a universal map has no Jacobian: give the map that its for_person returns")
             joints = list(retarget.joint_names)
             ordered = joints if actuated_joints is None else list(actuated_joints)
             if sorted(joints) != sorted(ordered):
@@ -54,7 +55,7 @@ def RetargetingMap_(T: type) -> type:
             self._arguments = (retarget, actuated_joints)
             self._retarget = retarget
             self._order = np.array([joints.index(name) for name in ordered])
-            self._tips = HumanPoints(retarget.finger_names).keypoints
+            self._tips = list(retarget.human_keypoints)
             self._keypoints = self.DeclareVectorInputPort("keypoints", 3 * KEYPOINT_COUNT)
             self.DeclareVectorOutputPort(
                 "positions", len(joints), self._calc, {self.all_input_ports_ticket()}
