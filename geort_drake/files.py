@@ -134,12 +134,12 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
         OutputError: the nearest existing parent is not a folder or not writable.
     """
     target = Path(target)
+    if not directory and target.is_dir():
+        raise OutputError(f"{target}: is a directory, not a file")
     candidates = (target, *target.parents) if directory else target.parents
     nearest = next(path for path in candidates if path.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise OutputError(f"{target}: {nearest} is not a directory that can be written to")
-    if not directory and target.is_dir():
-        raise OutputError(f"{target}: is a directory, not a file")
 
 
 def is_replaceable(target: str | os.PathLike, mark: str) -> bool:
