@@ -8,7 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench
 
 from geort_drake import GloveReplay, Recording, RetargetingSystem
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, RecordingError
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
 from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
@@ -45,6 +45,8 @@ def test_replay_holds_each_sample_until_the_next():
         np.testing.assert_array_equal(bench.value("keypoints").reshape(21, 3), recording.p_HK[sample])
         assert bench.value("valid")[0] == recording.valid[sample]
         np.testing.assert_allclose(bench.value("wrist_pose").translation(), recording.X_WH[sample, 4:])
+    with pytest.raises(RecordingError, match="without frames"):
+        GloveReplay(small_recording(frames=0))
 
 
 def test_recording_a_replay_gives_the_recording_back():
@@ -99,9 +101,14 @@ def test_retargeting_orders_joints_as_the_plant_does():
 def test_retargeting_holds_when_the_map_gives_no_number():
     """One NaN among the joint targets holds them all, and the next good answer is followed."""
     answers = iter([[0.1, 0.1, 0.1], [0.2, np.nan, 0.2], [0.3, 0.3, 0.3]])
-    bench = retargeting_bench(lambda _keypoints: np.array(next(answers)))
-    bench.fix(keypoints=np.zeros(63))
-    for wanted, state in ((0.1, TRACKING), (0.1, HELD_NOT_FINITE), (0.3, TRACKING)):
+
+    def own(keypoints):  # returns a list, and changes what it gets
+        keypoints += 0.2
+        return next(answers)
+
+    bench = retargeting_bench(own)
+    for step, (wanted, state) in enumerate(((0.1, TRACKING), (0.1, HELD_NOT_FINITE), (0.3, TRACKING))):
+        bench.fix(keypoints=np.full(63, 1e-3 * step))
         bench.advance()
         np.testing.assert_allclose(bench.value("desired_state")[:3], wanted)
         assert bench.value("status").state == state
@@ -121,16 +128,21 @@ def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, u
 
 
 def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them():
-    with pytest.raises(HandError, match=r"thumb_b.*ring_a"):
-        RetargetingSystem(first_three, JOINTS, ("index_a", "thumb_a", "ring_a"), {}, 0.01)
-    start = dict.fromkeys(JOINTS, 0.5)
-
-    def limited(keypoints):
-        return first_three(keypoints)
-
-    limited.lower, limited.upper = np.zeros(3), np.full(3, 0.4)
-    with pytest.raises(HandError, match=r"'thumb_a' must be within \[0, 0.4\] rad; given: 0.5"):
-        RetargetingSystem(limited, JOINTS, JOINTS, start)
+    """A joint without an initial position starts at 0."""
+    twice, start, limits = (*JOINTS, JOINTS[0]), dict.fromkeys(JOINTS, 0.5), JointLimits([0] * 3, [0.4] * 3)
+    for given, message in (
+        ((JOINTS, ("index_a", "thumb_a", "ring_a"), {}), r"thumb_b.*ring_a"),
+        ((JOINTS, JOINTS, start), r"'thumb_a' must be within \[0, 0.4\] rad; given: 0.5"),
+        ((JOINTS, twice, {}), r"different joints"),
+        ((twice, twice, {}), r"a joint is given twice"),
+        ((JOINTS[:2], JOINTS[:2], {}), r"shape \(3,\), but 2 joints"),
+    ):
+        with pytest.raises(HandError, match=message):
+            RetargetingSystem(first_three, *given, limits=limits)
+    bench = SystemBench(RetargetingSystem(first_three, JOINTS, JOINTS, {"index_a": 0.2}, limits=limits))
+    np.testing.assert_array_equal(bench.value("desired_state"), [0, 0, 0.2, 0, 0, 0])
+    with pytest.raises(HandError, match=r"lower \(3,\), upper \(2,\)"):
+        JointLimits(np.zeros(3), np.ones(2))
 
 
 # -- Clutch

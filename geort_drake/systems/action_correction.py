@@ -2,7 +2,7 @@
 
 import dataclasses as dc
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
@@ -81,25 +81,26 @@ class PeriodicCorrection(ActionCorrection):
 
     Args:
         actuated_joints: joints in actuator order.
-        initial_positions: joint name → rad, the command before the first update.
+        initial_positions: joint name → rad, the command before the first update; by default 0.
         limits: of the joints, in actuator order.
         period: time between updates, s, from 1e-5 to 10.
 
     Raises:
+        HandError: the limits do not fit the joints or the initial positions.
         ValueError: the period is out of range.
     """
 
     def __init__(
         self,
         actuated_joints: Sequence[str],
-        initial_positions: dict[str, float],
+        initial_positions: Mapping[str, float],
         limits: JointLimits,
         period: float,
     ):
         super().__init__(len(actuated_joints))
         check_timing(period)
         self._limits, self._period = limits, period
-        self._q_start = np.array([initial_positions[name] for name in actuated_joints])
+        self._q_start = limits.start(initial_positions, actuated_joints)
         self._positions = self.DeclareDiscreteState(self._q_start)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 

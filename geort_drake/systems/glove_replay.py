@@ -7,6 +7,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
+from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording
 from geort_drake.systems.port_values import vector_to_pose
 
@@ -22,10 +23,15 @@ class GloveReplay(LeafSystem):
         valid (1): 1 tracked, 0 lost.
 
     Before the recording it outputs the first sample, after it the last one.
+
+    Raises:
+        RecordingError: the recording has no frames.
     """
 
     def __init__(self, recording: Recording):
         super().__init__()
+        if len(recording.t) == 0:
+            raise RecordingError("a recording without frames cannot be replayed")
         # A list, because bisection in it is faster than in an array.
         self._t = (recording.t - recording.t[0]).tolist()
         self._keypoints = np.asarray(recording.p_HK, float).reshape(len(self._t), 63)

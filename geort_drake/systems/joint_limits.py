@@ -1,6 +1,7 @@
 """Limits of joint positions, speeds and accelerations, and steps towards targets within them."""
 
 import dataclasses as dc
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -25,7 +26,8 @@ class JointLimits:
         acceleration: (n,) rad/s², or a number for all joints.
 
     Raises:
-        HandError: a limit is not finite or out of range, or a lower one is not below its upper one.
+        HandError: a limit is not finite or out of range, a lower one is not below its upper one, or the
+            shapes do not fit.
     """
 
     lower: np.ndarray
@@ -39,7 +41,12 @@ class JointLimits:
 
     def __post_init__(self) -> None:
         names = ("lower", "upper", "speed", "acceleration")
-        values = np.broadcast_arrays(*(np.asarray(getattr(self, name), dtype=float) for name in names))
+        given = [np.asarray(getattr(self, name), dtype=float) for name in names]
+        try:
+            values = np.broadcast_arrays(*given)
+        except ValueError:
+            shapes = ", ".join(f"{name} {value.shape}" for name, value in zip(names, given, strict=True))
+            raise HandError(f"joint limits: the shapes do not fit: {shapes}") from None
         for name, value in zip(names, values, strict=True):
             object.__setattr__(self, name, value.copy())
         for name in ("lower", "upper"):
@@ -76,6 +83,30 @@ class JointLimits:
             np.minimum(speeds, speed),
             acceleration,
         )
+
+    def start(self, positions: Mapping[str, float], joints: Sequence[str]) -> np.ndarray:
+        """The initial positions (n,), rad, of these limits' joints.
+
+        Args:
+            positions: joint name → rad; a joint without one starts at 0, as in a hand's description.
+            joints: n names, in the order of the limits.
+
+        Raises:
+            HandError: a joint is given twice, the limits are of another number of joints, or a position is
+                outside them.
+        """
+        if len(set(joints)) < len(joints):
+            raise HandError(f"a joint is given twice: {', '.join(joints)}")
+        if self.lower.shape != (len(joints),):
+            raise HandError(f"joint limits: shape {self.lower.shape}, but {len(joints)} joints")
+        q = np.array([positions.get(name, 0.0) for name in joints], dtype=float)
+        for name, value, low, high in zip(joints, q, self.lower, self.upper, strict=True):
+            if not low <= value <= high:
+                raise HandError(
+                    f"the initial position of '{name}' must be within [{low:g}, {high:g}] rad; "
+                    f"given: {value:g}"
+                )
+        return q
 
     def step(
         self,

@@ -3,7 +3,7 @@
 import importlib
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -41,16 +41,19 @@ class PolicyCorrection(PeriodicCorrection):
     Args:
         policy: from `load_policy`, or a function like it.
         actuated_joints: joints in the order of actuators and policy.
-        initial_positions: joint name → rad, the command before the first update.
+        initial_positions: joint name → rad, the command before the first update; by default 0.
         limits: of the joints, in actuator order.
         period: time between calls of the policy, s.
+
+    Raises:
+        HandError, ValueError: as for `PeriodicCorrection`.
     """
 
     def __init__(
         self,
         policy: Policy,
         actuated_joints: Sequence[str],
-        initial_positions: dict[str, float],
+        initial_positions: Mapping[str, float],
         limits: JointLimits,
         period: float = 0.01,
     ):

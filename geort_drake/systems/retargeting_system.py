@@ -3,7 +3,7 @@
 import dataclasses as dc
 import math
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -72,7 +72,7 @@ class RetargetingSystem(LeafSystem):
             (n,), rad, in the order of `joint_names`.
         joint_names: the retargeter's joints.
         actuated_joints: the same joints in actuator order.
-        initial_positions: joint name → rad, the targets before the first update.
+        initial_positions: joint name → rad, the targets before the first update; 0 for a joint without one.
         period: time between updates, s, from 1e-5 to 10; a longer `latency` takes its place.
         limits: of the targets, in actuator order. None takes the retargeter's `lower` and `upper`, and the
             default speed and acceleration of `JointLimits`.
@@ -81,8 +81,8 @@ class RetargetingSystem(LeafSystem):
         cutoff: of a first-order low-pass on the targets, Hz; 0 for none.
 
     Raises:
-        HandError: plant and retargeter have different joints, the joint limits are unknown, or an initial
-            position is outside them.
+        HandError: plant and retargeter have different joints, the joint limits are unknown or of other
+            joints, or an initial position is outside them.
         ValueError: a value of `checks`, or the period, latency or cutoff is out of range.
     """
 
@@ -91,7 +91,7 @@ class RetargetingSystem(LeafSystem):
         retarget: Callable[[np.ndarray], np.ndarray],
         joint_names: Sequence[str],
         actuated_joints: Sequence[str],
-        initial_positions: dict[str, float],
+        initial_positions: Mapping[str, float],
         period: float = 0.01,
         limits: JointLimits | None = None,
         latency: float = 0.0,
@@ -99,7 +99,7 @@ class RetargetingSystem(LeafSystem):
         cutoff: float = 0.0,
     ):
         super().__init__()
-        if set(joint_names) != set(actuated_joints):
+        if sorted(joint_names) != sorted(actuated_joints):
             raise HandError(
                 "the retargeter and the plant move different joints: the retargeter has "
                 f"{', '.join(sorted(joint_names))}; the plant's hand has {', '.join(sorted(actuated_joints))}"
@@ -119,14 +119,7 @@ class RetargetingSystem(LeafSystem):
         self._keypoints_port = self.DeclareVectorInputPort("keypoints", 63)
         self._valid_port = self.DeclareVectorInputPort("valid", 1)
         self._stamp_port = self.DeclareVectorInputPort("stamp", 1)
-        q0 = np.array([initial_positions[name] for name in actuated_joints])
-        for name, q, low, high in zip(
-            actuated_joints, q0, self._limits.lower, self._limits.upper, strict=True
-        ):
-            if not low <= q <= high:
-                raise HandError(
-                    f"the initial position of '{name}' must be within [{low:g}, {high:g}] rad; given: {q:g}"
-                )
+        q0 = self._limits.start(initial_positions, actuated_joints)
         desired = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
         easing = Easing.at_start(self._checks.ease_at_start)
         numbers = [STATES.index(SETTLING), 0.0, math.nan, 0.0, math.nan, 0.0, *dc.astuple(easing)]
@@ -280,7 +273,7 @@ class RetargetingSystem(LeafSystem):
         points = keypoints.reshape(21, 3)
         known = self._known(context)
         if known is None:
-            q = self._retarget(points)
+            q = np.asarray(self._retarget(points.copy()))  # a copy, as a user's function may change it
         elif known.holds(time):
             return HELD_OTHER_PERSON, None, math.nan
         else:

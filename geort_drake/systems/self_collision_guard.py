@@ -1,6 +1,6 @@
 """Moves commanded positions of the hand out of self-collision."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
@@ -9,7 +9,7 @@ from scipy.optimize import nnls
 from geort_drake.errors import HandError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.model import HandModel
-from geort_drake.systems.action_correction import PeriodicCorrection
+from geort_drake.systems.action_correction import CorrectionConfig, PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits
 
 _SLACK = 2e-4  # m; corrections aim at the clearance plus this
@@ -38,21 +38,22 @@ class SelfCollisionGuard(PeriodicCorrection):
     Args:
         hand: the model of the hand.
         actuated_joints: its joints in actuator order.
-        initial_positions: joint name → rad, the command before the first update.
+        initial_positions: joint name → rad, the command before the first update; by default 0.
         limits: of the joints, in actuator order.
         period: time between updates of the command, s.
-        clearance: m.
+        clearance: m, not negative.
 
     Raises:
         HandError: the joints are not the hand's, its collision geometry is of an unsupported kind, or the
             hand's clearance is too small at the initial positions.
+        ValueError: the period or the clearance is out of range.
     """
 
     def __init__(
         self,
         hand: HandModel,
         actuated_joints: Sequence[str],
-        initial_positions: dict[str, float],
+        initial_positions: Mapping[str, float],
         limits: JointLimits,
         period: float = 0.01,
         clearance: float = 0.002,
@@ -63,6 +64,7 @@ class SelfCollisionGuard(PeriodicCorrection):
                 f"{', '.join(sorted(actuated_joints))}"
             )
         super().__init__(actuated_joints, initial_positions, limits, period)
+        CorrectionConfig("guard", clearance).validate()
         self._hand_clearance, self._clearance = HandClearance(hand, clearance, actuated_joints), clearance
         self._reach, self._zeros = limits.speed * period, np.zeros(len(actuated_joints))
         if (near := self._hand_clearance.near(self._q_start)).pairs:
