@@ -103,12 +103,15 @@ class RerunRecorder(LeafSystem):
             self._write(writer, 0)
 
     def close(self) -> None:
-        """Flushes; later samples are not kept, and closing again does nothing."""
+        """Flushes; later samples are not kept, and closing again does nothing.
+
+        After an error nothing is written when the process ends, but closing again tries once more.
+        """
         if self._closed:
             return
+        atexit.unregister(self.close)
         self.flush()
         self._closed = True
-        atexit.unregister(self.close)
         if self._live is not None:
             self._live.close()
         # Drake keeps this system until the process ends.

@@ -10,7 +10,6 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
-from geort_drake.errors import OutputError
 from geort_drake.files import atomic_path
 from geort_drake.rerun.writer import TIMELINE, Writer
 
@@ -18,8 +17,6 @@ _APPLICATION = "geort_drake"  # recordings of one application share a layout in 
 Property = str | int | float | bool
 # A viewer that listens, and a server to which viewers connect.
 Viewer = rr.GrpcSink | rr.GrpcServerSink
-# The end of every complete file.
-_FOOTER, _FOOTER_BYTES = b"RRF2FOOT", 12
 
 
 @contextlib.contextmanager
@@ -34,8 +31,8 @@ def file_writer(
 ) -> Iterator[Writer]:
     """Opens a `Writer` to an .rrd file; the file appears when the block ends without an error.
 
-    Equal data give equal columns; log times are left out. With the environment variable RERUN=off no file
-    is written, and a warning says so.
+    The data stay in memory until then. Equal data give equal columns; log times are left out. With the
+    environment variable RERUN=off no file is written, and a warning says so.
 
     Raises:
         OutputError: the disk is full, or the place is not writable.
@@ -46,19 +43,17 @@ def file_writer(
         warnings.warn(f"{path}: not written, because of the environment variable RERUN=off", stacklevel=4)
         yield Writer(stream, timeline)
         return
-    with atomic_path(path) as draft:
-        try:
-            stream.save(draft, default_blueprint=blueprint)
-            _send_properties(stream, path.stem, properties or {})
-            yield Writer(stream, timeline)
-        finally:
-            stream.disconnect()
-        # Rerun reports failed writes on stderr only.
-        with draft.open("rb") as file:
-            file.seek(max(0, draft.stat().st_size - _FOOTER_BYTES))
-            whole = _FOOTER in file.read()
-        if not whole:
-            raise OutputError(f"{path}: could not be written completely; is the disk full?")
+    # Rerun's own writer to files may hang on a full disk, and reports errors on stderr only.
+    recording = stream.memory_recording()
+    try:
+        if blueprint is not None:
+            stream.send_blueprint(blueprint, make_active=False)
+        _send_properties(stream, path.stem, properties or {})
+        yield Writer(stream, timeline)
+        with atomic_path(path) as draft:
+            draft.write_bytes(recording.drain_as_bytes())
+    finally:
+        stream.disconnect()
 
 
 def live_writer(

@@ -15,6 +15,7 @@ from faults.sound import checkpoint, play
 from geort_drake.benchmark.records import TrialLog
 from geort_drake.files import write_text
 from geort_drake.people.recording_parts import RecordingParts, read_parts
+from geort_drake.rerun.streams import file_writer
 
 
 def save_recording() -> None:
@@ -38,13 +39,18 @@ def save_text() -> None:
     write_text("notes.txt", "x" * 200_000)
 
 
+def record_for_rerun() -> None:
+    with file_writer("trial.rrd") as writer:
+        writer.at(np.arange(5000.0)).series("/signal", ["x"], np.random.default_rng(0).random((5000, 1)))
+
+
 def append_trials() -> None:
     with TrialLog("trials.jsonl") as log:
         for seed in range(1000):
             log.append(error(seed=seed, error="x" * 184))
 
 
-WRITERS = (save_recording, record_session, save_checkpoint, save_text, append_trials)
+WRITERS = (save_recording, record_session, save_checkpoint, save_text, record_for_rerun, append_trials)
 # What is wrong with a disk → how to mount one; files that may not grow need no disk.
 FULL = "size=16k"
 DISKS = {"File too large": "", "No space left on device": FULL, "Read-only file system": "ro"}
