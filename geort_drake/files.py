@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import errno
+import fcntl
 import hashlib
 import math
 import os
@@ -106,6 +107,28 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
         except BaseException:
             shutil.rmtree(draft, ignore_errors=True)
             raise
+
+
+@contextlib.contextmanager
+def locked(folder: str | os.PathLike) -> Iterator[None]:
+    """Makes a folder when needed, and keeps other processes from locking it.
+
+    Raises:
+        OutputError: another process has locked it, or it cannot be made.
+    """
+    with writing(folder):
+        Path(folder).mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise OutputError(f"{folder}: another process is writing to this folder") from error
+        except OSError:
+            pass  # some network disks have no locks
+        yield
+    finally:
+        os.close(handle)
 
 
 def _to_disk(path: Path) -> None:

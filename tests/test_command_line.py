@@ -220,6 +220,8 @@ def inputs(light_desk, play):
         folder, HandSpec(4, mimic=False), "weightless", {"(?s)<inertial>.*?</inertial>": ""}
     )
     write_description(propose(weightless).description, folder / "weightless.yaml")
+    (folder / "run").mkdir()
+    (folder / "run" / "results.json").write_text("{}")
     weights = Path(shutil.copytree(good, folder / "altered")) / "weights.safetensors"
     weights.write_bytes(weights.read_bytes()[:-1] + b"x")
     return folder
@@ -295,6 +297,9 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("grasp --replay @/no_wrist.npz", ["no_wrist.npz", "needs wrist poses", "--scenario-name Fixed"]),
         ("grasp --scenario-name Fixed", ["scenario 'Fixed': the operator cannot grasp with a fixed base"]),
         ("grasp --output file/runs", ["file", "directory"]),
+        ("grasp --output @/altered", ["contains results of geort-drake train or refit (weights.safe"]),
+        ("benchmark --output @/run", ["run: contains results of geort-drake grasp (results.json)"]),
+        ("grasp --scenario-text '{correction: {kind: policy, policy: a.pt}}'", ["a.pt: no such policy file"]),
         ("grasp --trials 0", ["--trials", "at least 1", "0"]),
         ("grasp --side both", ["--side", "left", "right"]),
         ("train --output out --hand claw.yaml", ["claw.yaml is missing"]),

@@ -15,6 +15,8 @@ from geort_drake import load_hand, load_scenario, run_trial, synthesize_play
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console
+from geort_drake.errors import OutputError
+from geort_drake.files import locked
 from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
@@ -129,18 +131,26 @@ def test_commands_run(chain, desk, capsys):
 
 
 @pytest.mark.slow
-def test_an_interrupted_grasp_keeps_the_trials_that_ended(desk, monkeypatch):
-    """They can be exported like those of a whole run."""
+def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(desk, monkeypatch):
+    """They can be exported; an interruption in the first trial leaves an earlier run as it was."""
 
     def one_trial(scenario, *arguments):
+        with pytest.raises(OutputError, match="another process"), locked("stopped"):
+            pass
+        result = run_trial(scenario, *arguments)
         if scenario.random_seed > 0:
             raise KeyboardInterrupt
-        return run_trial(scenario, *arguments)
+        return result
 
     monkeypatch.setattr("geort_drake.run_trial", one_trial, raising=False)
-    line = f"--objects cylinder --trials 2 --retargeter hold --output stopped {SHORT}"
-    with pytest.raises(KeyboardInterrupt):
-        run_command("grasp", shlex.split(line))
+    kept = []
+    for line in ("--trials 2", "--trials 1 --scenario-text '{random_seed: 1, timeout: 0.2}'"):
+        line = f"--objects cylinder --retargeter hold --output stopped {SHORT} {line}"
+        with pytest.raises(KeyboardInterrupt):
+            run_command("grasp", shlex.split(line))
+        kept.append({path.name: path.read_bytes() for path in Path("stopped").glob("*.*")})
+    assert kept[0] == kept[1]
+    assert Path("stopped/interrupted/cylinder-1.rrd").is_file()
     assert run_command("export", ["stopped", "stopped_table"]) == 0
     assert [path.name for path in Path("stopped_table/frames").iterdir()] == ["cylinder-0.parquet"]
 

@@ -36,7 +36,7 @@ Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    parser.add_output("runs/benchmark")
+    parser.add_output("runs/benchmark", "trials.jsonl")
     methods = (
         "methods listed below, checkpoints, maps or Python files; the first is the reference (default: all)"
     )

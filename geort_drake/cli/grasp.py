@@ -7,6 +7,7 @@ and the glove and tracker data (.npz).
 """
 
 import argparse
+import contextlib
 import copy
 import dataclasses
 import json
@@ -42,7 +43,7 @@ objects: see models/objects.yaml, or the page on the grasp task in the documenta
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
-    parser.add_output("runs/grasp")
+    parser.add_output("runs/grasp", "results.json")
     objects = (
         f"objects to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)"
     )
@@ -74,7 +75,8 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.retargeters import names_of, retargeter_of
     from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, progress_bar, say, track, warn
-    from geort_drake.files import write_text
+    from geort_drake.export.episode import RESULTS, SCENARIO
+    from geort_drake.files import locked, write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
     from geort_drake.retargeting.retargeter import UniversalRetargeter
     from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
@@ -133,9 +135,7 @@ def run(arguments: argparse.Namespace) -> int:
         "session": session,
     }
     results = []
-    # That of the first trial; the others differ in object and seed, which are in results.json.
-    write_text(arguments.output / "scenario.yaml", dump_scenario(scenarios[0]))
-    with progress_bar() as display:
+    with locked(arguments.output), progress_bar() as display:
         update = display.counter("grasping")
         for done, scenario in enumerate(scenarios):
             stem = f"{find_task(scenario.task).case_of(scenario)}-{scenario.random_seed}"
@@ -143,14 +143,25 @@ def run(arguments: argparse.Namespace) -> int:
             def show(t: float, done: int = done, stem: str = stem) -> None:
                 update(done, len(scenarios), f"{stem}: {t:.1f} s simulated")
 
+            # Where it stays if the trial is interrupted, so that it never replaces that of a whole trial.
+            recorded = arguments.output / "interrupted" / f"{stem}.rrd"
             result, glove = run_trial(
                 scenario,
                 retarget,
                 replay or (person, goals[scenario.object.name]),
-                None if arguments.no_rerun else arguments.output / f"{stem}.rrd",
+                None if arguments.no_rerun else recorded,
                 properties,
                 show,
             )
+            if not results:
+                # An earlier run's results are removed first, because they had another scenario.
+                (arguments.output / RESULTS).unlink(missing_ok=True)
+                # That of the first trial; the others differ in object and seed, which are in results.json.
+                write_text(arguments.output / SCENARIO, dump_scenario(scenario))
+            if recorded.exists():
+                recorded.replace(arguments.output / recorded.name)
+                with contextlib.suppress(OSError):  # it may contain others
+                    recorded.parent.rmdir()
             glove.save(arguments.output / f"{stem}.glove.npz")
             results.append(result)
             # After each trial, so that an interrupted run keeps those that ended.
@@ -159,7 +170,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "successes": sum(result.success for result in results),
                 "trials": [result.to_json() for result in results],
             }
-            write_json(arguments.output / "results.json", report)
+            write_json(arguments.output / RESULTS, report)
         update(len(scenarios), len(scenarios))
 
     print_table(
@@ -171,7 +182,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     write_json(arguments.json, report)
     watch = None if arguments.no_rerun else view(arguments.output, "/*.rrd")
-    finish({"Results": arguments.output / "results.json"}, watch)
+    finish({"Results": arguments.output / RESULTS}, watch)
     return 0
 
 

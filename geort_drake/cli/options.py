@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geort_drake.errors import UsageError
+from geort_drake.errors import OutputError, UsageError
 from geort_drake.files import finite_json, require_writable, write_text
 from geort_drake.resources import models_dir
 
@@ -31,6 +31,14 @@ DEFAULT_METHOD = "geort_coupled"
 DEFAULT_SCENARIO = "Grasp"
 SHIPPED_METHOD = "universal"
 STDOUT = Path("-")
+# A file that only these commands write → the commands.
+_MARKS = {
+    "results.json": "grasp",
+    "trials.jsonl": "benchmark or replay",
+    "weights.safetensors": "train or refit",
+    "episodes.parquet": "export",
+    "meta/info.json": "export",
+}
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
@@ -72,9 +80,10 @@ class CommandParser(argparse.ArgumentParser):
         text = f"write {what} as JSON to stdout, or to FILE (.json)"
         self.add_argument("--json", nargs="?", type=_json_file, const=STDOUT, metavar="FILE", help=text)
 
-    def add_output(self, default: str) -> None:
-        """Adds --output, a folder for the results."""
-        self.add_argument("--output", type=output_folder, default=default, help="folder for the results")
+    def add_output(self, default: str, mark: str) -> None:
+        """Adds --output, a folder for the results, of which `mark` is a file."""
+        kind = _results_folder(mark)
+        self.add_argument("--output", type=kind, default=default, help="folder for the results")
 
     def add_hand(self, default: str | None = DEFAULT_HAND, note: str = "", group: Any = None) -> None:
         """Adds --hand; `note` tells the help what happens without it."""
@@ -174,6 +183,21 @@ def output_folder(text: str) -> Path:
     """A folder to write, which may exist and must be writable (else OutputError)."""
     require_writable(text, directory=True)
     return Path(text)
+
+
+def _results_folder(mark: str) -> Callable[[str], Path]:
+    """Makes the type of a folder that must not contain another command's results (else OutputError)."""
+
+    def path(text: str) -> Path:
+        folder = output_folder(text)
+        for name, commands in _MARKS.items():
+            if name != mark and (folder / name).is_file() and (folder / name).stat().st_size:
+                raise OutputError(
+                    f"{folder}: contains results of geort-drake {commands} ({name}); choose another folder"
+                )
+        return folder
+
+    return path
 
 
 def _json_file(text: str) -> Path:

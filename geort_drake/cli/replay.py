@@ -21,7 +21,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--perturb", nargs="+", default=(), metavar="NAME=S1,S2", help=changes)
     add("--trials", type=at_least(1), default=20, help="trials per session and size")
     parser.add_workers()
-    parser.add_output("runs/replay")
+    parser.add_output("runs/replay", "trials.jsonl")
     parser.add_side()
     parser.add_json("the summary")
     parser.add_scenario("{retargeting: {latency: 0.01}}")

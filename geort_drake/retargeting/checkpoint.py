@@ -141,7 +141,7 @@ def save_checkpoint(
 
 def check_replaceable(path: str | os.PathLike) -> None:
     """Raises CheckpointError if saving would replace something that is not a checkpoint."""
-    if not is_replaceable(path, CONFIG):
+    if not is_replaceable(path, WEIGHTS):
         raise CheckpointError(
             f"{path} exists and is not a checkpoint; it would be replaced: choose another directory"
         )
