@@ -152,11 +152,11 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
 def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
     """In its place and unit: STL of both kinds, binary glTF, whose y is up, PLY, and COLLADA.
 
-    The copy can be moved.
+    The copy can be moved, also after --hulls.
     """
     model = _with_mesh(tmp_path, kind, name)
     assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
-    convert_model(model, tmp_path / "copy")
+    add_collisions(convert_model(model, tmp_path / "copy"))
     copy = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
     assert unreadable_meshes(copy) == []
     hand = HandModel(propose(copy).description)

@@ -1,8 +1,10 @@
 """Copies of models with convex hulls in place of meshes that Drake cannot read, or of missing collisions."""
 
 import copy
+import os
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -34,29 +36,30 @@ def convert_model(model: Path, folder: Path) -> Path:
     """Writes a copy of a model that Drake reads into a folder of its own; returns the copy.
 
     MJCF becomes one file with its includes and explicit defaults. The hulls are beside the copy, which names
-    them relative to itself, so that its folder can be moved.
+    all meshes relative to itself.
 
     Raises:
         HandError: a mesh is missing, damaged, or of an unknown format.
     """
     tree = read_model(model)
-    meshes = mesh_elements(model, tree)
+    with atomic_directory(folder) as draft:
+        hulls: dict[Path, Path] = {}
+        for mesh in unreadable_meshes(model):
+            stem = re.sub(r"\W+", "_", mesh.stem)
+            hulls[mesh] = folder.resolve() / f"{len(hulls)}_{stem}.obj"
+            write_text(draft / hulls[mesh].name, _hull_of_mesh(mesh))
+        write_text(draft / model.name, _text_of(tree, model, folder, hulls))
+    return folder / model.name
+
+
+def _text_of(tree: ET.Element, model: Path, folder: Path, hulls: Mapping[Path, Path]) -> str:
+    """A model's XML for a file in `folder`, which names `hulls` and all other meshes relative to it."""
+    for element, mesh in mesh_elements(model, tree):
+        set_mesh(element, Path(os.path.relpath(hulls.get(mesh, mesh), folder.resolve())))
     for compiler in tree.iter("compiler"):  # of MJCF
         compiler.attrib.pop("meshdir", None)
         compiler.attrib.pop("assetdir", None)
-    with atomic_directory(folder) as draft:
-        hulls: dict[Path, str] = {}
-        for element, mesh in meshes:
-            target = mesh
-            if mesh.suffix.lower() not in _READABLE:
-                if mesh not in hulls:
-                    stem = re.sub(r"\W+", "_", mesh.stem)
-                    hulls[mesh] = f"{len(hulls)}_{stem}.obj"
-                    write_text(draft / hulls[mesh], _hull_of_mesh(mesh))
-                target = Path(hulls[mesh])
-            set_mesh(element, target)
-        write_text(draft / model.name, ET.tostring(tree, encoding="unicode"))
-    return folder / model.name
+    return ET.tostring(tree, encoding="unicode")
 
 
 def add_collisions(model: Path) -> list[str]:
@@ -90,7 +93,7 @@ def add_collisions(model: Path) -> list[str]:
                 added.extend(part for part in shape if part.tag in ("origin", "pose", "geometry"))
             link.append(added)
         changed += [body.name()] if shapes else []
-    write_text(model, ET.tostring(tree, encoding="unicode"))
+    write_text(model, _text_of(tree, model, model.parent, {}))
     return changed
 
 
