@@ -21,6 +21,7 @@ from geort_drake import (
     train_checkpoint,
 )
 from geort_drake.cli import run_command
+from geort_drake.cli.grasp import try_out
 from geort_drake.errors import HandError, OutputError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
@@ -51,7 +52,10 @@ def spec(request) -> HandSpec:
 
 
 def test_fingers_base_and_side_are_found(spec, tmp_path):
-    """The proposal equals the specification, except for tips without geometry, which are guessed."""
+    """The proposal equals the specification, except for tips without geometry, which are guessed.
+
+    Commands suggest grasps for hands that have the fingers for it.
+    """
     description = propose(write_hand(tmp_path, spec)).description
     assert description.side == spec.side
     assert description.finger_names == spec.finger_names
@@ -68,6 +72,9 @@ def test_fingers_base_and_side_are_found(spec, tmp_path):
     assert np.rad2deg(turned) < 4.0
     followers = [coupling.joint for coupling in description.couplings]
     assert followers == [joint_name(spec, f, 3) for f in range(1, spec.fingers)] * spec.mimic
+    write_description(description, tmp_path / "hand.yaml")
+    suggested = try_out(tmp_path, str(tmp_path / "hand.yaml"))
+    assert (" grasp " if spec.fingers > 2 else " explore ") in suggested
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from geort_drake.cli.options import (
+    DEFAULT_HAND,
     DEFAULT_METHOD,
     DEFAULT_SCENARIO,
     SHIPPED_METHOD,
     CommandParser,
     at_least,
+    command,
     finish,
     methods_for,
     scenario_of,
@@ -211,6 +213,24 @@ def scenarios_of(
             check_scenario(scenario)
             scenarios.append(scenario)
     return scenarios
+
+
+def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
+    """Formats a command that tries a retargeter: `grasp` if the hand can, else `explore`.
+
+    Args:
+        retargeter: checkpoint or map.
+        hand: name or description file.
+        recording: on which the retargeter was trained.
+    """
+    from geort_drake import load_hand
+    from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_of
+
+    fingers = {*load_hand(hand).finger_names}
+    graspable = any(fingers.issuperset(GRIPS[grip_of(name)].fingers) for name in DEFAULT_OBJECTS)
+    words = ("grasp", "--retargeter") if graspable else ("explore", "--output", "explore.rrd", "--methods")
+    shown = None if hand == DEFAULT_HAND else hand
+    return command(*words, retargeter, "--recording", recording, "--hand", shown)
 
 
 def _request(arguments: argparse.Namespace) -> "tuple[Scenario, Recording | None]":

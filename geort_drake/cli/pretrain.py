@@ -6,7 +6,8 @@ geort-drake pretrain --hand my_hand.yaml --output my_hand.safetensors
 import argparse
 from dataclasses import replace
 
-from geort_drake.cli.options import CommandParser, at_least, command, finish, output_file
+from geort_drake.cli.grasp import try_out
+from geort_drake.cli.options import CommandParser, at_least, finish, output_file
 
 EPILOG = """\
 Training takes about half an hour on two cores. geort_drake.load_retargeter(FILE) loads the map, which works
@@ -46,5 +47,5 @@ def run(arguments: argparse.Namespace) -> int:
     )
     rows = [(name.replace("_", " "), f"{value:.4f}") for name, value in figures.items()]
     print_table(("figure", "value"), rows, f"{description.name}, seed {arguments.seed}")
-    finish({"Map": arguments.output}, command("grasp", "--retargeter", arguments.output))
+    finish({"Map": arguments.output}, try_out(arguments.output, arguments.hand))
     return 0

@@ -9,7 +9,8 @@ import argparse
 import json
 from pathlib import Path
 
-from geort_drake.cli.options import CommandParser, at_least, command, finish, output_folder, write_json
+from geort_drake.cli.grasp import try_out
+from geort_drake.cli.options import CommandParser, at_least, finish, output_folder, write_json
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -42,6 +43,5 @@ def run(arguments: argparse.Namespace) -> int:
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
     print_table(("metric", "value"), metric_rows(metrics), f"fitted in {seconds:.1f} s")
     write_json(arguments.json, metrics)
-    words = ("--retargeter", path, "--recording", arguments.recording, "--hand", arguments.hand)
-    finish({"Checkpoint": path}, command("grasp", *words))
+    finish({"Checkpoint": path}, try_out(path, arguments.hand, arguments.recording))
     return 0

@@ -10,12 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from geort_drake.cli.grasp import try_out
 from geort_drake.cli.options import (
-    DEFAULT_HAND,
     DEFAULT_METHOD,
     CommandParser,
     at_least,
-    command,
     finish,
     output_file,
     output_folder,
@@ -94,9 +93,8 @@ def run(arguments: argparse.Namespace) -> int:
     for text in provenance["warnings"]:
         warn(text)
     write_json(arguments.json, metrics)
-    hand = None if arguments.hand == DEFAULT_HAND else arguments.hand
-    words = ("--retargeter", path, "--recording", arguments.recording, "--hand", hand)
-    finish({"Checkpoint": path}, view(arguments.rrd), command("grasp", *words))
+    following = try_out(path, arguments.hand, arguments.recording)
+    finish({"Checkpoint": path}, view(arguments.rrd), following)
     return 0 if provenance["training"]["stopped_at"] is None else 1
 
 
