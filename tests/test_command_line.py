@@ -17,13 +17,7 @@ from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
 from geort_drake.cli import COMMANDS, main, parser_of, run_command
-from geort_drake.cli.options import (
-    DEFAULT_METHOD,
-    SHIPPED_METHOD,
-    SIDES,
-    CommandParser,
-    write_json,
-)
+from geort_drake.cli.options import DEFAULT_METHOD, SHIPPED_METHOD, SIDES, CommandParser, write_json
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console, exit_code_of, progress_bar, run_main, warn
 from geort_drake.errors import RecordingError

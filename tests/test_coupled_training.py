@@ -6,15 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from retargeting_toy import (
-    HAND,
-    HUMAN,
-    PLANTED,
-    answers,
-    toy_data,
-    toy_kinematics,
-    uneven_kinematics,
-)
+from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_data, toy_kinematics, uneven_kinematics
 from scipy.spatial.transform import Rotation
 
 from geort_drake import HandModel, load_hand

@@ -110,10 +110,7 @@ MISMATCHES = {
     "a version that is no number": (own(version=True), "version must be 1, not True"),
     "millimetres": (own(unit="mm"), "unit must be 'm', not 'mm'"),
     "another side": (own(side="left"), "a left hand is sent, but the robot's is a right one"),
-    "another ManusGlove": (
-        dumped(manus_glove(nodes_of(HAND, "left"), "Left")),
-        "left hand is sent",
-    ),
+    "another ManusGlove": (dumped(manus_glove(nodes_of(HAND, "left"), "Left")), "left hand is sent"),
     "joint angles": (text(["0.5"] * 40), "joint angles"),
 }
 

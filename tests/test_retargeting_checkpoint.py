@@ -7,16 +7,8 @@ import numpy as np
 import pytest
 import torch
 from faults.sound import (
-    FINGERS,
-    JOINTS,
-    LOWER,
-    TIPS,
-    UPPER,
-    checkpoint,
-    play,
-    smooth_arrays,
-    smooth_retargeter,
-)
+    FINGERS, JOINTS, LOWER, TIPS, UPPER, checkpoint, play, smooth_arrays, smooth_retargeter,
+)  # fmt: skip
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from retargeting_toy import toy_kinematics, uneven_kinematics
 from system_bench import Bench

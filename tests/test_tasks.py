@@ -7,15 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from grasp_setup import (
-    allegro,
-    attempt,
-    centred_map,
-    goals,
-    outcome_of,
-    person_who_plays,
-    plans,
-)
+from grasp_setup import allegro, attempt, centred_map, goals, outcome_of, person_who_plays, plans
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
