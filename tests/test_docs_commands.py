@@ -144,8 +144,8 @@ def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(desk, monkey
 
     monkeypatch.setattr("geort_drake.run_trial", one_trial, raising=False)
     kept = []
-    for line in ("--trials 2", "--trials 1 --scenario-text '{random_seed: 1, timeout: 0.2}'"):
-        line = f"--objects cylinder --retargeter hold --output stopped {SHORT} {line}"
+    for options in ("--trials 2", "--scenario-text '{random_seed: 1, timeout: 0.2}'"):
+        line = f"--objects cylinder --retargeter hold --output stopped {SHORT} {options}"
         with pytest.raises(KeyboardInterrupt):
             run_command("grasp", shlex.split(line))
         kept.append({path.name: path.read_bytes() for path in Path("stopped").glob("*.*")})

@@ -7,8 +7,16 @@ import numpy as np
 import pytest
 import torch
 from faults.sound import (
-    FINGERS, JOINTS, LOWER, TIPS, UPPER, checkpoint, play, smooth_arrays, smooth_retargeter,
-)  # fmt: skip
+    FINGERS,
+    JOINTS,
+    LOWER,
+    TIPS,
+    UPPER,
+    checkpoint,
+    play,
+    smooth_arrays,
+    smooth_retargeter,
+)
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from retargeting_toy import toy_kinematics, uneven_kinematics
 from system_bench import Bench
