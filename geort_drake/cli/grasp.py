@@ -34,6 +34,7 @@ from geort_drake.errors import ScenarioError
 if TYPE_CHECKING:
     from geort_drake import Recording
     from geort_drake.simulation.scenario import Scenario
+    from geort_drake.simulation.task import TrialResult
 
 # Grasped if neither --objects nor the scenario names an object.
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
@@ -136,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
         "retargeter": str(checkpoint or method),
         "session": session,
     }
-    results = []
+    results: list[TrialResult] = []
     with locked(arguments.output), progress_bar() as display:
         update = display.counter("grasping")
         for done, scenario in enumerate(scenarios):
