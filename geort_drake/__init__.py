@@ -27,7 +27,7 @@ Simulation:
     make_trial_diagram: builds a scenario's diagram.
     run_trial: simulates one grasp and judges it.
 
-Each name is imported when it is first used, so importing the package takes no time.
+Each name is imported on first use, so importing the package itself is fast.
 """
 
 import importlib

@@ -53,7 +53,7 @@ def print_table(
 
     Args:
         rows: cells, which may contain rich's markup.
-        text: headings of the columns that contain text besides the first; all others contain numbers.
+        text: headings of further text columns, aligned left like the first; others contain numbers.
     """
     table = Table(title=title or None, caption=caption or None)
     for heading in headings:
@@ -68,7 +68,7 @@ class Display(Progress):
     """Progress bars on stderr, one per task."""
 
     def counter(self, label: str) -> Callable[..., None]:
-        """A callback (done, total, note="") that draws a bar; it appears with the first call."""
+        """Returns a callback (done, total, note="") that draws a bar, from its first call on."""
         task: TaskID | None = None
 
         def update(done: int, total: int | None, note: str = "") -> None:
@@ -80,7 +80,7 @@ class Display(Progress):
         return update
 
     def losses(self, label: str, also: "Report | None") -> "Report":
-        """A `Report` callback that shows the losses of a training and then calls `also`."""
+        """Returns a `Report` callback that shows the losses of a training and then calls `also`."""
         update = self.counter(label)
 
         def report(step: int, steps: int, losses: dict[str, float], network: Any) -> None:
@@ -93,7 +93,7 @@ class Display(Progress):
 
     @contextlib.contextmanager
     def spinner(self, label: str) -> Iterator[None]:
-        """A bar of one step for the duration of a block."""
+        """Shows a bar of one step for the duration of a block."""
         update = self.counter(label)
         update(0, 1)
         yield
@@ -105,9 +105,9 @@ _display: Display | None = None
 
 @contextlib.contextmanager
 def progress_bar(shown: bool = True) -> Iterator[Display]:
-    """A display for work that may take over two seconds.
+    """Yields a display for work that may take over two seconds.
 
-    Bars of a display inside another join that one, and vanish with their block.
+    A nested display adds its bars to the outer one, and removes them at the end of its block.
     """
     global _display  # noqa: PLW0603 (a terminal has one display)
     if not shown or console.quiet:
@@ -147,8 +147,8 @@ def track(
 def exit_code_of(function: Callable[[], int | None]) -> int:
     """Runs a program and returns its exit code: its own result, 2 for an error that the user can correct.
 
-    Warnings and errors are printed on stderr as their text alone. SIGTERM interrupts like Ctrl-C, so that
-    drafts of files are removed.
+    Warnings and errors are printed on stderr without traceback. SIGTERM interrupts like Ctrl-C, so that
+    temporary files are removed.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -184,7 +184,7 @@ def _print_labelled(label: str, colour: str, message: Warning | Exception | str)
 
 
 def _first_of_its_kind() -> Callable[[logging.LogRecord], bool]:
-    """A filter that drops notices and repeated warnings, which Drake logs at every step."""
+    """Returns a filter that drops notices, and warnings that Drake repeats at every step."""
     seen: set[str] = set()
 
     def passes(record: logging.LogRecord) -> bool:

@@ -15,7 +15,7 @@ from typing import Any
 
 from geort_drake.errors import GeortError, OutputError
 
-# Errors of a full disk or a read-only place.
+# Errors of a full disk or a read-only location.
 _UNWRITABLE = {
     errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR, errno.EPERM, errno.EROFS,
 }  # fmt: skip
@@ -30,14 +30,14 @@ def is_lfs_pointer(path: str | os.PathLike) -> bool:
 
 
 def require_fetched(path: str | os.PathLike, error: type[GeortError]) -> None:
-    """Raises `error` where `path` is a Git LFS pointer in place of the file itself."""
+    """Raises `error` if `path` is a Git LFS pointer instead of the file itself."""
     if is_lfs_pointer(path):
         raise error(f"{path}: is a Git LFS pointer, not the file itself; fetch it with `git lfs pull`")
 
 
 @contextlib.contextmanager
 def writing(target: str | os.PathLike) -> Iterator[None]:
-    """Turns errors of a full disk or a read-only place into OutputError with the target's name."""
+    """Turns errors of a full disk or a read-only location into an OutputError that names the target."""
     try:
         yield
     except OutputError:
@@ -50,13 +50,13 @@ def writing(target: str | os.PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
-    """Yields a path beside `target`, which replaces `target` on success.
+    """Yields a temporary path in the same folder, which replaces `target` on success.
 
-    On an exception nothing is left behind and an earlier `target` stays. If the process or the machine ends,
-    `target` is whole, the earlier or the new one; a hidden draft may remain beside it.
+    On an exception nothing is left behind and an earlier `target` stays. If the process is killed or the
+    machine fails, `target` is complete, either old or new; a hidden temporary file may remain.
 
     Raises:
-        OutputError: the disk is full, or the place may not be written to.
+        OutputError: the disk is full or the location is not writable.
     """
     target = Path(target)
     with writing(target):
@@ -77,7 +77,7 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
-    """Yields a new directory beside `target`, which replaces it on success; see `atomic_path`."""
+    """Yields a temporary directory, which replaces `target` on success; see `atomic_path`."""
     target = Path(target)
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file, not a directory")
@@ -93,15 +93,15 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
             if target.exists() and _exchange(draft, target):
                 shutil.rmtree(draft)
             elif target.exists():
-                # rename() cannot replace a directory that contains files, so the old one steps aside.
-                aside = draft.with_name(f"{draft.name}-old")
-                os.replace(target, aside)
+                # rename() cannot replace a directory that contains files, so the old one is moved first.
+                old = draft.with_name(f"{draft.name}-old")
+                os.replace(target, old)
                 try:
                     os.replace(draft, target)
                 except BaseException:
-                    os.replace(aside, target)
+                    os.replace(old, target)
                     raise
-                shutil.rmtree(aside)
+                shutil.rmtree(old)
             else:
                 os.replace(draft, target)
         except BaseException:
@@ -138,17 +138,17 @@ def _to_disk(path: Path) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Exchanges two paths atomically; False where the system cannot (Linux can on most disks)."""
+    """Exchanges two paths atomically; returns False where that is unsupported (Linux supports it mostly)."""
     try:
         renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
     except AttributeError:
         return False
-    here, exchange = -100, 2  # AT_FDCWD, RENAME_EXCHANGE
-    return renameat2(here, os.fsencode(one), here, os.fsencode(other), exchange) == 0
+    at_fdcwd, rename_exchange = -100, 2
+    return renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) == 0
 
 
 def require_writable(target: str | os.PathLike, directory: bool = False) -> None:
-    """Checks that `target` can be written, before long work; creates nothing.
+    """Checks before long work that `target` can be written; creates nothing.
 
     Args:
         target: a file, or with `directory` a folder that may exist already.
@@ -190,9 +190,9 @@ def sha256_of(path: str | os.PathLike) -> str:
 
 
 def digest_of(root: Path, paths: Iterable[Path]) -> str:
-    """Hexadecimal SHA-256 of files, and of all files in folders: their names below `root` and contents.
+    """Hexadecimal SHA-256 of the contents, and names below `root`, of files and of all files in folders.
 
-    Folders named `__pycache__`, in which Python and numba keep compiled code, do not count.
+    Folders named `__pycache__`, in which Python and numba keep compiled code, are skipped.
     """
     files: set[Path] = set()
     for path in paths:
@@ -218,7 +218,7 @@ def _umask() -> int:
 
 
 def finite_json(content: Any) -> Any:
-    """A copy with None for numbers that are not finite, which JSON cannot represent."""
+    """Returns a copy with None for numbers that are not finite, which JSON cannot represent."""
     if isinstance(content, dict):
         return {key: finite_json(value) for key, value in content.items()}
     if isinstance(content, list | tuple):

@@ -1,4 +1,4 @@
-"""Worker processes: their number, and their end with the process that started them."""
+"""Counts the cores for worker processes, and ends workers together with their parent."""
 
 import multiprocessing
 import os
@@ -11,12 +11,12 @@ _WATCH_PERIOD = 1.0  # s
 
 
 def usable_cores() -> int:
-    """Number of processes that may share the work of this one, itself included; 1 in a worker."""
+    """Number of processes over which this one may spread its work; 1 in a worker."""
     return 1 if multiprocessing.parent_process() is not None else joblib.cpu_count()
 
 
 def end_with(starter: int) -> None:
-    """Ends this process when its parent, of number `starter`, has ended, even by `kill -9`.
+    """Ends this process soon after its parent, of process id `starter`, has ended, even by `kill -9`.
 
     Otherwise loky's workers would keep their memory for five more minutes.
     """

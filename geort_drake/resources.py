@@ -9,7 +9,7 @@ PACKAGE_NAME = "geort_drake"
 def resource_root() -> Path:
     """The directory with `models/` and `diagrams/`.
 
-    A wheel carries them inside the package, a checkout beside it.
+    They are inside the package in a wheel, and next to it in a checkout.
     """
     package = Path(__file__).resolve().parent
     return package if (package / "models").is_dir() else package.parent
@@ -33,6 +33,6 @@ def resolve_uri(uri: str | os.PathLike) -> Path:
 
 
 def cache_dir() -> Path:
-    """Directory of reusable computed data: `$XDG_CACHE_HOME/geort_drake`, by default in `~/.cache`."""
+    """Directory for reusable results: `$XDG_CACHE_HOME/geort_drake`, by default in `~/.cache`."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / PACKAGE_NAME

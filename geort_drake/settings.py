@@ -11,7 +11,7 @@ _BOOLEANS = {"true": True, "false": False}
 
 
 def parse_settings(assignments: Sequence[str], config: Any, what: str) -> dict[str, Any]:
-    """Parses texts such as "steps=100" into values of the types that the fields' defaults have.
+    """Parses texts such as "steps=100" into values of the types of the fields' defaults.
 
     Args:
         assignments: the texts; later ones replace earlier ones of the same name.
@@ -20,7 +20,7 @@ def parse_settings(assignments: Sequence[str], config: Any, what: str) -> dict[s
 
     Raises:
         GeortError: a text is not NAME=VALUE, or the value is not of the field's type.
-        UnknownNameError: no such setting; the message lists those there are.
+        UnknownNameError: there is no such setting; the message lists the existing ones.
     """
     defaults = settings_of(config)
     settings: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Messages about faulty YAML files that name the field, what was expected and what was given."""
+"""Describes faults of YAML files: the field, what was expected and what was given."""
 
 import dataclasses as dc
 from typing import Any, get_args, get_origin, get_type_hints
@@ -10,7 +10,7 @@ _MERGE = "tag:yaml.org,2002:merge"
 
 
 def fault_of(error: Exception) -> str:
-    """An exception of a YAML loader in one line; syntax errors with their place."""
+    """Describes a YAML loader's exception in one line; syntax errors with line and column."""
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
         mark = error.problem_mark
         return f"line {mark.line + 1}, column {mark.column + 1}: {error.problem}"
@@ -21,9 +21,9 @@ def check_fields(node: yaml.Node | None, schema: type, name: str = "") -> None:
     """Checks the names of a mapping's fields and the types of numbers, also in nested dataclasses and lists.
 
     Args:
-        node: what was given; None for an empty document.
-        schema: the dataclass that it becomes.
-        name: of the mapping in messages; empty for the whole document.
+        node: the parsed YAML; None for an empty document.
+        schema: the dataclass to which it is converted.
+        name: name of the mapping in messages; empty for the whole document.
 
     Raises:
         ValueError: names the field, what was expected and what was given.

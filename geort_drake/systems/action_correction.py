@@ -37,13 +37,13 @@ class CorrectionConfig:
 class ActionCorrection(LeafSystem):
     """Passes the desired state through; override `correct` to change it.
 
-    The foundation controller of DexterityGen (Yin et al. 2025, section IV), a policy that turns coarse
-    targets into safe ones, would be such a system. The package's own corrections have the same ports and
-    override `_calc`.
+    A subclass could be the foundation controller of DexterityGen (Yin et al. 2025, section IV), a policy that
+    turns coarse targets into safe ones. The package's own corrections have the same ports and override
+    `_calc`.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), actuator order.
-        hand_state (2n): the hand's measured positions and velocities, same order; read only for `correct`.
+        hand_state (2n): measured positions and velocities, same order; read only by an overridden `correct`.
     Output port:
         desired_state (2n): the command to the hand, same order.
     """
@@ -68,7 +68,7 @@ class ActionCorrection(LeafSystem):
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         desired = self._desired.Eval(context)
-        # Without a correction, computing the hand's state would be wasted time.
+        # Skips the hand's state, which takes time to compute, unless `correct` needs it.
         if type(self).correct is not ActionCorrection.correct:
             desired = self.correct(desired, self._measured.Eval(context))
         output.SetFromVector(desired)
@@ -82,7 +82,7 @@ class PeriodicCorrection(ActionCorrection):
     Args:
         actuated_joints: joints in actuator order.
         initial_positions: joint name → rad, the command before the first update; by default 0.
-        limits: of the joints, in actuator order.
+        limits: limits of the joints, in actuator order.
         period: time between updates, s, from 1e-5 to 10.
 
     Raises:

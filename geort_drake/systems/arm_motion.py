@@ -1,4 +1,4 @@
-"""Integrates the arm's joint velocities into commanded positions, or brakes and holds."""
+"""Integrates the arm's joint velocities into commanded positions, or brakes and holds the arm."""
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -28,10 +28,10 @@ class ArmMotion(LeafSystem):
         positions: (nq,) initial positions, rad; inactive joints keep them.
         active: (nq,) bool, the joints of the `velocity` input.
         arm: (na,) position indices of the arm's joints; each is active.
-        hand_frame: B.
-        limits: of the arm's joints; always kept while braking.
+        hand_frame: frame B of the hand.
+        limits: limits of the arm's joints; braking always respects them.
         period: time between updates, s.
-        limited: whether following keeps the limits too.
+        limited: whether following respects the limits, too.
     """
 
     def __init__(

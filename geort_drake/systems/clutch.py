@@ -20,8 +20,8 @@ class _Engagement(Immutable):
 class Clutch(LeafSystem):
     """Applies the wrist's motion since the clutch engaged to the robot hand.
 
-    Person and robot may start at different poses: translation and rotation of the wrist since the first
-    valid sample, both measured in W, are added to the hand's pose at that time.
+    Person and robot may start at different poses: the wrist's translation and rotation since the first valid
+    sample, both measured in W, are applied to the hand's pose at that time.
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH.
@@ -46,7 +46,7 @@ class Clutch(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         target = state.get_mutable_abstract_state(self._target)
         engagement = state.get_mutable_abstract_state(self._engagement)
-        # Poses are copied, because ports and states are overwritten.
+        # Copies, because Drake overwrites the values of ports and states.
         if self._valid.Eval(context)[0] < 0.5:
             engagement.set_value(_Engagement())
             target.set_value(RigidTransform(self._commanded.Eval(context)))

@@ -11,20 +11,20 @@ _NO_CONTACTS = np.empty((0, 8))
 
 
 def bodies_of_geometries(plant: MultibodyPlant) -> dict[GeometryId, int]:
-    """Collision geometry → index of its body."""
+    """Returns the index of the body of every collision geometry."""
     bodies = map(plant.get_body, map(BodyIndex, range(plant.num_bodies())))
     return {id: int(body.index()) for body in bodies for id in plant.GetCollisionGeometriesForBody(body)}
 
 
 def contact_rows(results: ContactResults, bodies: Mapping[GeometryId, int]) -> np.ndarray:
-    """Rows (contacts, 8): body A, body B, p_WC (m), f_Bc_W (N).
+    """Returns contacts as rows (contacts, 8): indices of bodies A and B, p_WC (m), f_Bc_W (N).
 
-    A pair of geometries has one row. Its force is the sum of normal force and friction; a hydroelastic
-    surface's acts at its centroid.
+    Each pair of geometries in contact has one row. The force is the sum of normal force and friction; for a
+    hydroelastic contact surface, it acts at the centroid.
 
     Args:
-        results: of the plant.
-        bodies: see `bodies_of_geometries`.
+        results: contact results of the plant.
+        bodies: result of `bodies_of_geometries`.
     """
     points, surfaces = results.num_point_pair_contacts(), results.num_hydroelastic_contacts()
     if not points + surfaces:
@@ -47,7 +47,7 @@ def contact_rows(results: ContactResults, bodies: Mapping[GeometryId, int]) -> n
 
 
 def contact_geometries(results: ContactResults, row: int) -> tuple[GeometryId, GeometryId]:
-    """The two geometries of a row of `contact_rows`."""
+    """Returns the two geometries in contact of a row of `contact_rows`."""
     points = results.num_point_pair_contacts()
     if row < points:
         pair = results.point_pair_contact_info(row).point_pair()

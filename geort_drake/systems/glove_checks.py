@@ -17,7 +17,7 @@ HELD_JUMPED = "held: a keypoint moved faster than a hand can"
 # Frozen input is still followed; the motion after it is eased.
 FROZEN = "frozen: the keypoints have not changed for too long"
 
-# s; the allowed jump grows with the time between two frames up to this gap, the longest of usual gloves.
+# s; the allowed jump grows with the time between frames, up to this gap, the longest of common gloves.
 _MAX_GAP = 0.04
 # s; for rounding errors in sums of periods.
 _TIME_TOLERANCE = 1e-9
@@ -25,7 +25,7 @@ _TIME_TOLERANCE = 1e-9
 
 @dc.dataclass
 class GloveChecks:
-    """Thresholds of the checks on a glove's keypoints, and times of easing."""
+    """Thresholds of the checks on a glove's keypoints, and durations of settling and easing."""
 
     # Largest coordinate of a keypoint, m; wrist to middle fingertip is 0.22 m for a tall man.
     reach: float = 0.3
@@ -52,12 +52,12 @@ class GloveChecks:
 
 @dc.dataclass(slots=True)
 class GloveMemory:
-    """The last usable keypoints and when they came, s."""
+    """The last usable keypoints and the last stamp, and when each last changed."""
 
     keypoints: np.ndarray  # (63,) m; NaN before the first
-    changed: float
+    changed: float  # when the keypoints last changed, s
     stamp: float  # on the glove's clock; NaN before the first
-    stamped: float
+    stamped: float  # when the stamp last changed, s
     moved: float = math.nan  # largest change of a coordinate since the update before, m
 
 
@@ -90,7 +90,7 @@ def find_fault(
             fault = HELD_STALE
     if not valid:
         return HELD_LOST
-    farthest = _largest(keypoints)  # NaN if any coordinate is
+    farthest = _largest(keypoints)  # NaN if any coordinate is NaN
     if not farthest <= checks.reach:
         return HELD_OUT_OF_RANGE if math.isfinite(farthest) else HELD_NOT_FINITE
     memory.moved = moved = _largest(keypoints - memory.keypoints)
@@ -105,7 +105,7 @@ def find_fault(
 
 
 def _largest(x: np.ndarray) -> float:
-    """Returns the largest |x|, or NaN if there is one. (`argmax` is five times as fast as `max`.)"""
+    """Returns the largest |x|, or NaN if any is NaN. (`argmax` is five times as fast as `max`.)"""
     size = np.abs(x)
     return size.item(size.argmax())
 
@@ -117,11 +117,11 @@ class Easing:
     Input is followed once it has been good for the settling time. After a hold, the usable fraction of the
     joints' speed limit grows from zero to one over the duration of the hold.
 
-    Attributes, in s:
-        good_since: NaN while the input is bad.
-        held_since: NaN while the hand follows.
-        eased_from: start of the last easing.
-        duration: of the easing; 0 if none is active.
+    Attributes, all in s:
+        good_since: when the input became good; NaN while it is bad.
+        held_since: when the hold began; NaN while the hand follows.
+        eased_from: when the last easing began.
+        duration: duration of the easing; 0 if none is active.
     """
 
     good_since: float
@@ -131,7 +131,7 @@ class Easing:
 
     @classmethod
     def at_start(cls, ease: bool) -> "Easing":
-        """Starts as after a long hold, or following."""
+        """Returns the initial state: as after a long hold if `ease`, otherwise following."""
         return cls(math.nan, -math.inf) if ease else cls(-math.inf, math.nan)
 
     def follows(self) -> bool:
@@ -139,13 +139,13 @@ class Easing:
         return math.isnan(self.held_since)
 
     def settled(self, time: float, settle_time: float) -> bool:
-        """Whether input that is good at `time` has been good for `settle_time`; both in s."""
+        """Notes good input at `time`; returns whether it has been good for `settle_time` (both s)."""
         if math.isnan(self.good_since):
             self.good_since = time
         return time - self.good_since >= settle_time - _TIME_TOLERANCE
 
     def hold(self, time: float, good: bool) -> None:
-        """Holds the hand at `time`, s; `good` input only has to settle."""
+        """Holds the hand from `time` on, s; input that is not `good` has to settle anew."""
         if not good:
             self.good_since = math.nan
         if math.isnan(self.held_since):

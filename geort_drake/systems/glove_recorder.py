@@ -1,4 +1,4 @@
-"""Records the ports of a glove and a tracker, and of a real robot."""
+"""Records the ports of a glove, a tracker and a real robot."""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +21,7 @@ class GloveRecorder(LeafSystem):
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH.
         valid (1): 1 tracked, 0 lost.
-        <name in robot> (2n): joint positions, rad, then velocities, which are not recorded.
+        <key of `robot`> (2n): joint positions, rad, then velocities, which are not recorded.
 
     Samples are taken in an update event, not a publish event, so they are the values that other systems use
     at that time.
@@ -33,7 +33,7 @@ class GloveRecorder(LeafSystem):
         period: time between samples, s.
         parts: files to which samples are written every `part` seconds, which limits memory and the loss in a
             crash. Without it, samples stay in memory for `recording`.
-        robot: such as "joints.command" → names of the n joints.
+        robot: name of a robot's port, such as "joints.command" → names of its n joints.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class GloveRecorder(LeafSystem):
     def _sample(self, context: Context, _state: DiscreteValues) -> EventStatus:
         if self._paused:
             return EventStatus.DidNothing()
-        # Copies, because port values are overwritten.
+        # Copies, because Drake overwrites port values.
         keypoints = self._keypoints.Eval(context).reshape(21, 3).copy()
         X_WH = RigidTransform(self._wrist.Eval(context))
         valid = bool(self._valid.Eval(context)[0] > 0.5)
@@ -71,21 +71,21 @@ class GloveRecorder(LeafSystem):
         return EventStatus.Succeeded()
 
     def recording(self, metadata: dict | None = None) -> Recording:
-        """The samples so far, with tracker poses; only without `parts`."""
+        """Returns the samples so far, with tracker poses; only without `parts`."""
         t, p_HK, valid, X_WH, robot = self._arrays()
         return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}), robot)
 
     def switch(self, parts: RecordingParts | None) -> RecordingParts | None:
-        """Writes later samples to other parts, or drops them; returns the parts so far, completed."""
-        before = self._parts
-        if before is not None and self._samples:
-            self._write(before)
+        """Writes later samples to other parts, or drops them; returns the previous parts, complete."""
+        previous = self._parts
+        if previous is not None and self._samples:
+            self._write(previous)
         self._samples.clear()
         self._parts, self._paused = parts, parts is None
-        return before
+        return previous
 
     def finish(self) -> bool:
-        """Joins the parts to a file; see `RecordingParts.finish`."""
+        """Joins the parts into one file; see `RecordingParts.finish`."""
         if self._parts is None:
             raise ValueError("this recorder has no parts; call `recording` instead")
         if self._samples:

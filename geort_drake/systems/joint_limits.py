@@ -10,7 +10,7 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from geort_drake.errors import HandError
 from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 
-# rad/s²; from rest to 7 rad/s in one update at 100 Hz.
+# rad/s²; reaches 7 rad/s from rest in one update at 100 Hz.
 DEFAULT_ACCELERATION = 700.0
 # rad/s and rad/s²; outside of this range squares may overflow, and no motor reaches it.
 _RATES = (1e-6, 1e12)
@@ -26,15 +26,15 @@ class JointLimits:
         acceleration: (n,) rad/s², or a number for all joints.
 
     Raises:
-        HandError: a limit is not finite or out of range, a lower one is not below its upper one, or the
-            shapes do not fit.
+        HandError: a limit is not finite or out of range, a lower limit is not below the upper one, or
+            the shapes do not fit.
     """
 
     lower: np.ndarray
     upper: np.ndarray
     speed: np.ndarray | float = 7.0
     acceleration: np.ndarray | float = DEFAULT_ACCELERATION
-    # Results of `_free` by period.
+    # Results of `_fast_path_bounds` by period.
     _bounds: dict[float, tuple[np.ndarray, ...]] = dc.field(
         init=False, repr=False, compare=False, default_factory=dict
     )
@@ -55,9 +55,7 @@ class JointLimits:
                     f"joint limits: {name} must be finite and within ±{MAX_ANGLE:g} rad; given: {value}"
                 )
         if not (self.lower < self.upper).all():
-            raise HandError(
-                f"joint limits: lower ones must be below upper ones; given: {self.lower} and {self.upper}"
-            )
+            raise HandError(f"joint limits: lower must be below upper; given: {self.lower} and {self.upper}")
         for name in ("speed", "acceleration"):
             value = getattr(self, name)
             if not ((_RATES[0] <= value) & (value <= _RATES[1])).all():
@@ -74,7 +72,7 @@ class JointLimits:
         speed: float = np.inf,
         acceleration: float = DEFAULT_ACCELERATION,
     ) -> "JointLimits":
-        """The limits of a model's actuated joints, in actuator order, with at most `speed`, rad/s."""
+        """Returns the limits of a model's actuated joints, in actuator order; at most `speed`, rad/s."""
         joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
         speeds = np.array([joint.velocity_upper_limit() for joint in joints])
         return cls(
@@ -119,9 +117,9 @@ class JointLimits:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns positions and velocities after a period, as near to `target` as the limits allow.
 
-        Speed is (q' − q) / period and acceleration (v' − v) / period. A joint without lag reaches its target
-        exactly; a lagging one catches up at the highest speed from which it can brake in time. If q and v
-        respect the limits, so do the results, for any targets.
+        Speed is (q' − q) / period and acceleration (v' − v) / period. A joint without lag reaches a
+        target within the limits exactly; a lagging one catches up at the highest speed from which it can
+        brake in time. If q and v respect the limits, so do the results, for any targets.
 
         Args:
             q, v: (n,) present positions (rad) and velocities (rad/s); v = 0 at the start.
@@ -132,8 +130,8 @@ class JointLimits:
         speed, lag = (target - q) / period, target_before - q
         # Fast path: a target within all limits is reached. A joint at v stops within v²/2a; if it stops
         # inside the position limits, no later step has to leave them.
-        low, high, stretch = self._free(period)
-        values = np.array([speed, speed - v, lag, target + speed * np.abs(speed) * stretch])
+        low, high, stop_factor = self._fast_path_bounds(period)
+        values = np.array([speed, speed - v, lag, target + speed * np.abs(speed) * stop_factor])
         if share == 1.0 and np.count_nonzero((low <= values) & (values <= high)) == values.size:
             return target, speed
         gain = self.acceleration * period  # largest change of speed
@@ -141,15 +139,15 @@ class JointLimits:
         to_target, to_upper, to_lower = self._braking_speed(distance, period)
         speed = np.minimum(np.maximum((target - target_before) / period, -self.speed), self.speed)
         speed += np.copysign(to_target, lag)
-        most = np.maximum(share * self.speed, np.abs(v) - gain)
-        high = np.minimum(np.minimum(v + gain, most), to_upper)
-        low = np.maximum(np.maximum(v - gain, -most), -to_lower)
+        top_speed = np.maximum(share * self.speed, np.abs(v) - gain)
+        high = np.minimum(np.minimum(v + gain, top_speed), to_upper)
+        low = np.maximum(np.maximum(v - gain, -top_speed), -to_lower)
         v = np.minimum(np.maximum(speed, low), high)
         # Clipped again because of rounding.
         return np.minimum(np.maximum(q + v * period, self.lower), self.upper), v
 
-    def _free(self, period: float) -> tuple[np.ndarray, ...]:
-        """Bounds (4, n) of speed, its change, lag and stopping place for the fast path; and 1/2a (n,).
+    def _fast_path_bounds(self, period: float) -> tuple[np.ndarray, ...]:
+        """Returns bounds (4, n) of speed, its change, lag and stopping position, low and high; and 1/2a (n,).
 
         Cached, because computing them takes as long as a step.
         """
@@ -161,7 +159,7 @@ class JointLimits:
         return self._bounds[period]
 
     def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
-        """The highest speed at which a joint can brake within `distance` (..., n), including the next step.
+        """Returns the highest speed from which a joint stops within `distance` (..., n), next step included.
 
         With speeds in units of a·period and distances in units of a·period², steps at x, x − 1, x − 2, …
         cover (m + 1) x − m (m + 1) / 2, where m is x rounded down.

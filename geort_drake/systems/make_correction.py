@@ -18,7 +18,7 @@ def make_correction(
     limits: JointLimits,
     period: float,
 ) -> ActionCorrection:
-    """Returns the correction for a hand; the other arguments are those of `SelfCollisionGuard`.
+    """Returns the selected correction for a hand; for the other arguments see `SelfCollisionGuard`.
 
     Raises:
         HandError: the guard cannot be used with this hand, see `SelfCollisionGuard`.

@@ -1,4 +1,4 @@
-"""Follows a person with the universal map: their code, and the map that is theirs so far."""
+"""Adapts the universal map to the person: estimates their code and fades to the map for it."""
 
 import dataclasses as dc
 from collections.abc import Callable
@@ -17,23 +17,23 @@ OBSERVATION_PERIOD = 0.03  # s; the frame period of the slowest device in traini
 FADE_TIME = 0.5  # s, to fade from one map to the next
 HOLD_TIME = 1.0  # s, for which another person's hand is observed before it is followed
 LEARNED_AFTER = 100  # observations, after which the person is known
-_MIN_CODE_CHANGE = 0.1  # standard deviations of the code; after a smaller change, the map stays
+_MIN_CODE_CHANGE = 0.1  # standard deviations of the code; a smaller change keeps the map
 _ROUNDING = 1e-9  # s
 
 
 @dc.dataclass(frozen=True)
 class PersonFollowing(Immutable):
-    """What is known of the person, and their map.
+    """Observations of the person, their estimated code, and the map for it.
 
     Attributes:
         universal: the universal map.
-        observer: what has been seen.
-        last: keypoints (21, 3) of the last look, m; NaN before it.
-        code: of the person, of which `now` is the map; None before the first look.
-        now, before: the person's map, and the one from which it takes over.
-        since: when it began to take over, s.
-        own: whether `now` was fitted to the person; then their code does not change it.
-        judged: when the person was last judged, s.
+        observer: observations so far.
+        last: keypoints (21, 3) of the last observation, m; NaN before the first.
+        code: the person's code; None before the first estimate.
+        now, before: the present map, and the one that it replaces.
+        since: when `now` began to replace `before`, s.
+        own: whether `now` was fitted to the person; then the code no longer changes it.
+        judged: when code and change of person were last checked, s.
         changed: when another person was noticed, s.
         unusual: what is unusual about the hand; see `UniversalRetargeter.unusual`.
     """
@@ -52,11 +52,11 @@ class PersonFollowing(Immutable):
 
     @classmethod
     def start(cls, universal: UniversalRetargeter, time: float = -np.inf) -> "PersonFollowing":
-        """Nothing is known; `time` is when another person was noticed, s."""
+        """Starts without observations; `time` is when another person was noticed, s."""
         return cls(universal, PersonObserver.empty(universal.finger_names), changed=time)
 
     def seeing(self, p_HK: np.ndarray, time: float) -> "PersonFollowing":
-        """What is known after a look at keypoints p_HK (21, 3), m, at `time`, s."""
+        """Returns the state after observing keypoints p_HK (21, 3), m, at `time`, s."""
         universal, observer = self.universal, self.observer.seeing(p_HK)
         if time - self.judged < FADE_TIME - _ROUNDING or len(observer.shapes) == 0:
             return dc.replace(self, observer=observer, last=p_HK)
@@ -83,13 +83,13 @@ class PersonFollowing(Immutable):
 
     @property
     def state(self) -> str:
-        """The state of the system while it tracks the hand."""
+        """State of `RetargetingSystem` while it tracks the hand."""
         if len(self.observer.shapes) < LEARNED_AFTER:
             return LEARNING
         return UNUSUAL if self.unusual else TRACKING
 
     def taking(self, retargeter: Retargeter, time: float) -> "PersonFollowing":
-        """The same with a map that was fitted to the person, which takes over from `time` on, s."""
+        """Returns a copy that fades to a map fitted to the person, from `time` on, s."""
         faded = time - self.since >= FADE_TIME
         before = self.now if faded else partial(self.retarget, time=time)
         return dc.replace(self, now=retargeter, before=before, since=time, own=True)
@@ -99,7 +99,7 @@ class PersonFollowing(Immutable):
         return time - self.changed < HOLD_TIME - _ROUNDING
 
     def retarget(self, p_HK: np.ndarray, time: float) -> np.ndarray:
-        """Joint angles (n,), rad, of keypoints p_HK (21, 3) at `time`, s; NaN if these are no hand."""
+        """Returns joint angles (n,), rad, for p_HK (21, 3), m, at `time`, s; NaN if there is no map yet."""
         if self.now is None:
             first = self.seeing(p_HK, time)
             missing = np.full(len(self.universal.joint_names), np.nan)

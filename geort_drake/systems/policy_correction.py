@@ -39,10 +39,10 @@ class PolicyCorrection(PeriodicCorrection):
     State: the policy's last output (n), the desired state (2n), and whether the policy failed (1).
 
     Args:
-        policy: from `load_policy`, or a function like it.
+        policy: result of `load_policy`, or any `Policy` function.
         actuated_joints: joints in the order of actuators and policy.
         initial_positions: joint name → rad, the command before the first update; by default 0.
-        limits: of the joints, in actuator order.
+        limits: limits of the joints, in actuator order.
         period: time between calls of the policy, s.
 
     Raises:

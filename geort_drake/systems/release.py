@@ -10,8 +10,8 @@ def release(diagram: Diagram) -> None:
 
     The diagram cannot be used afterwards: another step of its simulator may crash Python.
 
-    pydrake never frees systems written in Python (drake#24162), nor what they refer to. The diagram of a
-    trial leaks 11 MB, or 0.6 MB once released (Drake 1.51).
+    pydrake never frees systems written in Python (drake#24162), nor the objects they refer to. The diagram of
+    a trial leaks 11 MB, or 0.6 MB once released (Drake 1.51).
     """
     systems: list[System] = [diagram]
     while systems:
@@ -22,4 +22,4 @@ def release(diagram: Diagram) -> None:
             if close := getattr(system, "close", None):
                 close()
             system.__dict__.clear()
-    gc.collect()  # contexts are in circles of references
+    gc.collect()  # contexts are part of reference cycles

@@ -78,4 +78,4 @@ def RetargetingMap_(T: type) -> type:
     return Impl
 
 
-RetargetingMap = RetargetingMap_[None]  # the default instantiation, with numbers
+RetargetingMap = RetargetingMap_[None]  # the default instantiation, for float

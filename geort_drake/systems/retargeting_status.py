@@ -43,11 +43,11 @@ STATES = (
 
 @dc.dataclass(frozen=True)
 class RetargetingStatus(Immutable):
-    """The reaction to the present input, and since when (s)."""
+    """How the system reacts to the present input, and since when (s)."""
 
     state: str = SETTLING
     since: float = 0.0
-    # Keypoints (21, 3), m in H, that `distance` is measured from; None while the input is not followed.
+    # Keypoints (21, 3), m in H, for which `distance` is computed; None while the input is not followed.
     p_HK: np.ndarray | None = dc.field(default=None, repr=False, compare=False)
     trained_space: TrainedSpace | None = dc.field(default=None, repr=False, compare=False)
     # What is unusual about the hand, in words; empty if nothing is, or for a map of one person.
@@ -57,8 +57,8 @@ class RetargetingStatus(Immutable):
     def distance(self) -> float:
         """Largest distance of a fingertip from its positions in training, m.
 
-        NaN if these are unknown or the input is not followed. Computed on first use, because it takes longer
-        than the rest of a status.
+        NaN if these positions are unknown or the input is not followed. Computed on first use, because it
+        takes longer than the rest of a status.
         """
         if self.p_HK is None or self.trained_space is None:
             return math.nan

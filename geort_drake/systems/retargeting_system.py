@@ -36,16 +36,16 @@ from geort_drake.systems.retargeting_status import (
 )
 from geort_drake.systems.update_timing import check_timing, low_pass_factor
 
-# A point moves at most this many times as far as any of its coordinates.
+# A point moves at most this many times as far as its fastest coordinate.
 _DIAGONAL = math.sqrt(3.0)
-_ROUNDING = 1e-9  # m; of distances
+_ROUNDING = 1e-9  # m; rounding error of distances
 
 
 class RetargetingSystem(LeafSystem):
     """Maps keypoints to joint targets at a fixed period; the output respects the limits for any input.
 
-    While the input cannot be followed, the joints brake and hold. Then the hand follows again with growing
-    speed. Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the
+    While the input cannot be followed, the joints brake and hold. Then the hand follows again, at a growing
+    speed limit. Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the
     period is called again as soon as it is done, with the latest keypoints. A universal map adapts to the
     person: it observes the followed hand periodically and updates the person's code.
 
@@ -73,16 +73,16 @@ class RetargetingSystem(LeafSystem):
         joint_names: the retargeter's joints.
         actuated_joints: the same joints in actuator order.
         initial_positions: joint name → rad, the targets before the first update; 0 for a joint without one.
-        period: time between updates, s, from 1e-5 to 10; a longer `latency` takes its place.
-        limits: of the targets, in actuator order. None takes the retargeter's `lower` and `upper`, and the
-            default speed and acceleration of `JointLimits`.
+        period: time between updates, s, from 1e-5 to 10; raised to `latency` if that is longer.
+        limits: limits of the targets, in actuator order. None takes the retargeter's `lower` and `upper`, and
+            the default speed and acceleration of `JointLimits`.
         latency: time from keypoints to their joint targets, s, at most 10.
         checks: thresholds of the input checks.
-        cutoff: of a first-order low-pass on the targets, Hz; 0 for none.
+        cutoff: cutoff frequency of a first-order low-pass on the targets, Hz; 0 for none.
 
     Raises:
-        HandError: plant and retargeter have different joints, the joint limits are unknown or of other
-            joints, or an initial position is outside them.
+        HandError: the actuated joints are not the retargeter's, the joint limits are unknown or of
+            other joints, or an initial position is outside them.
         ValueError: a value of `checks`, or the period, latency or cutoff is out of range.
     """
 
@@ -124,7 +124,7 @@ class RetargetingSystem(LeafSystem):
         easing = Easing.at_start(self._checks.ease_at_start)
         numbers = [STATES.index(SETTLING), 0.0, math.nan, 0.0, math.nan, 0.0, *dc.astuple(easing)]
         self._memory = self.DeclareDiscreteState(np.concatenate([q0, np.full(63, math.nan), numbers]))
-        # With a latency, the output has a state of its own.
+        # With a latency, the output port has its own state.
         self._output = desired
         if latency > 0:
             self._output = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
@@ -137,14 +137,14 @@ class RetargetingSystem(LeafSystem):
             start = AbstractValue.Make(PersonFollowing.start(proxy))
             self._person = self.DeclareAbstractState(start)
             tickets.add(self.abstract_state_ticket(self._person))
-            self.DeclarePeriodicUnrestrictedUpdateEvent(max(OBSERVATION_PERIOD, period), 0.0, self._look)
+            self.DeclarePeriodicUnrestrictedUpdateEvent(max(OBSERVATION_PERIOD, period), 0.0, self._observe)
         self.DeclareAbstractOutputPort(
             "status", lambda: AbstractValue.Make(RetargetingStatus()), self._calc_status, tickets
         )
         # The order of two simultaneous events would depend on rounding, so with a latency of one period the
         # update itself outputs the last result.
-        self._busy = latency > period - 1e-9
-        if latency > 0 and not self._busy:
+        self._latency_is_period = latency > period - 1e-9
+        if latency > 0 and not self._latency_is_period:
             self.DeclarePeriodicDiscreteUpdateEvent(period, latency, self._output_result)
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
@@ -165,28 +165,29 @@ class RetargetingSystem(LeafSystem):
         Raises:
             HandError: the new map moves other joints.
         """
-        known = self._known(context)
-        if known is None:
+        person = self._get_person(context)
+        if person is None:
             return False
-        if retargeter.joint_names != known.universal.joint_names:
+        if retargeter.joint_names != person.universal.joint_names:
             raise HandError(f"the map moves other joints: {', '.join(retargeter.joint_names)}")
-        known = known.taking(retargeter, context.get_time())
-        context.get_mutable_abstract_state(self._person).set_value(known)
+        person = person.taking(retargeter, context.get_time())
+        context.get_mutable_abstract_state(self._person).set_value(person)
         return True
 
-    def _known(self, context: Context) -> PersonFollowing | None:
-        """What is known of the person; None for a map of one person."""
+    def _get_person(self, context: Context) -> PersonFollowing | None:
+        """Returns the adaptation to the person; None for a map of one person."""
         return None if self._person is None else context.get_abstract_state(self._person).get_value()
 
-    def _look(self, context: Context, state: State) -> EventStatus:
-        """Looks at the hand of the last update, if it passed the checks and is new."""
-        known, memory = self._known(context), context.get_discrete_state(self._memory).value()[self._n :]
+    def _observe(self, context: Context, state: State) -> EventStatus:
+        """Observes the keypoints of the last update, if they passed the checks and are new."""
+        person = self._get_person(context)
+        memory = context.get_discrete_state(self._memory).value()[self._n :]
         p_HK = memory[:63].reshape(21, 3)
         checked = STATES[int(memory[63])] in (*FOLLOWED, HELD_OTHER_PERSON)
-        if known is None or not checked or np.array_equal(known.last, p_HK):
+        if person is None or not checked or np.array_equal(person.last, p_HK):
             return EventStatus.DidNothing()
-        known = known.seeing(p_HK.copy(), context.get_time())
-        state.get_mutable_abstract_state(self._person).set_value(known)
+        person = person.seeing(p_HK.copy(), context.get_time())
+        state.get_mutable_abstract_state(self._person).set_value(person)
         return EventStatus.Succeeded()
 
     def _output_result(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
@@ -194,7 +195,7 @@ class RetargetingSystem(LeafSystem):
         return EventStatus.Succeeded()
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        if self._busy:
+        if self._latency_is_period:
             self._output_result(context, discrete_state)
         n, period, time = self._n, self.period, context.get_time()
         # These start as copies of the present values.
@@ -211,7 +212,7 @@ class RetargetingSystem(LeafSystem):
             q, v = self._limits.step(q, v, q, q, period)
             target = q
         else:
-            # After a hold, the low-pass continues from the held positions; without one, nothing lags.
+            # After a hold, a low-pass continues from the held positions; without a low-pass, nothing lags.
             last = target if easing.follows() or self._blend < 1.0 else q_new
             share = easing.follow(time, period, self._checks.ease_time)
             target = q_new if self._blend == 1.0 else last + self._blend * (q_new - last)
@@ -224,8 +225,8 @@ class RetargetingSystem(LeafSystem):
             elif state is None and excess > 0.0:
                 state = OUTSIDE
             elif state is None:
-                known = self._known(context)
-                state = LIMITED if not reached else known.state if known else TRACKING
+                person = self._get_person(context)
+                state = LIMITED if not reached else person.state if person else TRACKING
 
         if state != before:
             code, since = STATES.index(state), time
@@ -252,7 +253,7 @@ class RetargetingSystem(LeafSystem):
 
         Args:
             before, since: the state until now, and when it began, s.
-            excess: of the last update; see `_excess`.
+            excess: result of `_excess` at the last update, m.
 
         Returns:
             The state, if the input determines it; the joint positions (n,), rad, or None to hold; and the new
@@ -271,13 +272,13 @@ class RetargetingSystem(LeafSystem):
         if not easing.settled(time, self._checks.settle_time):
             return SETTLING, None, math.nan
         points = keypoints.reshape(21, 3)
-        known = self._known(context)
-        if known is None:
-            q = np.asarray(self._retarget(points.copy()))  # a copy, as a user's function may change it
-        elif known.holds(time):
+        person = self._get_person(context)
+        if person is None:
+            q = np.asarray(self._retarget(points.copy()))  # a copy, because a user's function may change it
+        elif person.holds(time):
             return HELD_OTHER_PERSON, None, math.nan
         else:
-            q = known.retarget(points, time)
+            q = person.retarget(points, time)
         if q.shape != self._to_plant.shape:
             raise HandError(f"the retargeter must return shape {self._to_plant.shape}; it returned {q.shape}")
         q = q.take(self._to_plant)
@@ -287,22 +288,23 @@ class RetargetingSystem(LeafSystem):
         return fault, np.minimum(np.maximum(q, self._limits.lower), self._limits.upper), excess
 
     def _excess(self, points: np.ndarray, before: float, moved: float) -> float:
-        """A bound on a fingertip's distance from training beyond the tolerance, m; its sign is exact.
+        """Returns by how much the largest distance to training exceeds the tolerance, m.
 
-        A distance changes by no more than the fingertip moves. It is measured only if the sign may have
-        changed since the last result, `before`, after motions of coordinates by up to `moved`.
+        While the sign cannot have changed since the last result, `before`, the distance is not measured: the
+        result has the right sign and at most the right magnitude. A distance changes by no more than the
+        fingertip moves; `moved` is the largest motion of a coordinate, m.
         """
         if self._trained_space is None:
             return math.nan
-        left = abs(before) - _DIAGONAL * moved
-        if left > _ROUNDING:
-            return math.copysign(left, before)
+        least = abs(before) - _DIAGONAL * moved
+        if least > _ROUNDING:
+            return math.copysign(least, before)
         return float(self._trained_space.distances(points).max()) - self._checks.trained_tolerance
 
     def _calc_status(self, context: Context, output: AbstractValue) -> None:
         memory = context.get_discrete_state(self._memory).value()[self._n :]
         code, since, excess = memory[63:66].tolist()
         followed = None if math.isnan(excess) else memory[:63].reshape(21, 3).copy()
-        known = self._known(context)
-        unusual = known.unusual if known else ""
+        person = self._get_person(context)
+        unusual = person.unusual if person else ""
         output.set_value(RetargetingStatus(STATES[int(code)], since, followed, self._trained_space, unusual))

@@ -62,7 +62,7 @@ class SceneView(LeafSystem):
         self._tip_links = [
             int(plant.GetBodyByName(finger.tip_link, hand).index()) for finger in description.fingers
         ]
-        # Homogeneous columns: one product for all fingers takes a third of the time of one product each.
+        # Homogeneous columns: one product for all fingers takes a third of the time of separate products.
         self._tip_points = np.array([[*finger.tip_point, 1.0] for finger in description.fingers])[:, :, None]
         links = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
         self.links = [link.name() for link in links]
@@ -81,10 +81,10 @@ class SceneView(LeafSystem):
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())
         )
-        places = {"fingertips": 3 * num_fingers, "hand_pose": 7, "object_pose": 7}
-        self._declare_outputs(places, self._calc_poses, self._poses)
-        touches = {"link_contact": len(self.links), "contact": num_fingers, "self_contact": 1}
-        self._declare_outputs(touches, self._calc_contacts, self._contacts)
+        pose_sizes = {"fingertips": 3 * num_fingers, "hand_pose": 7, "object_pose": 7}
+        self._declare_outputs(pose_sizes, self._calc_poses, self._poses)
+        contact_sizes = {"link_contact": len(self.links), "contact": num_fingers, "self_contact": 1}
+        self._declare_outputs(contact_sizes, self._calc_contacts, self._contacts)
 
     def _declare_outputs(self, sizes: dict[str, int], calculate: Callable, source: InputPort) -> None:
         """Declares ports with a common cache entry, because reading the input takes longer than the rest."""
@@ -123,8 +123,8 @@ class SceneView(LeafSystem):
                 if link is not None:
                     force[link] = max(force[link], magnitude)
             elif A in self._number_of_link and B in self._number_of_link and not self_contact:
-                tips_alone = self._tip_geometries.issuperset(contact_geometries(results, row))
-                self_contact = float(not tips_alone)
+                only_tips = self._tip_geometries.issuperset(contact_geometries(results, row))
+                self_contact = float(not only_tips)
         output.set_value(
             {
                 "link_contact": force,

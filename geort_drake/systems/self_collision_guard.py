@@ -14,12 +14,12 @@ from geort_drake.systems.joint_limits import JointLimits
 
 _SLACK = 2e-4  # m; corrections aim at the clearance plus this
 _ITERATIONS = 4
-# Number of nearest pairs that are opened at once; most other near pairs open with these.
+# Number of nearest pairs that are moved apart at once; most other near pairs open with them.
 _PAIRS = 4
 
 
 class SelfCollisionGuard(PeriodicCorrection):
-    """Passes commands that are free of self-collision, and moves others to near positions that are.
+    """Passes commands that are free of self-collision and moves others to nearby positions that are.
 
     Every output is checked: the distance between all parts of the hand that `HandClearance` compares is at
     least `clearance`. Outputs respect the limits of position and speed. If no correction is found, the
@@ -39,9 +39,9 @@ class SelfCollisionGuard(PeriodicCorrection):
         hand: the model of the hand.
         actuated_joints: its joints in actuator order.
         initial_positions: joint name → rad, the command before the first update; by default 0.
-        limits: of the joints, in actuator order.
+        limits: limits of the joints, in actuator order.
         period: time between updates of the command, s.
-        clearance: m, not negative.
+        clearance: smallest allowed distance between parts of the hand, m, not negative.
 
     Raises:
         HandError: the joints are not the hand's, its collision geometry is of an unsupported kind, or the
@@ -78,7 +78,7 @@ class SelfCollisionGuard(PeriodicCorrection):
             )
 
     def guarded(self, command: np.ndarray, clear: np.ndarray) -> np.ndarray:
-        """Returns clear positions near `command` that are one step from `clear`; (n,) rad, actuator order."""
+        """Returns clear positions near `command`, within one step of `clear`; (n,) rad, actuator order."""
         if command.dot(self._zeros) != 0.0:  # zero times NaN or infinity is NaN
             return clear
         low = np.maximum(self._limits.lower, clear - self._reach)
@@ -100,14 +100,14 @@ class SelfCollisionGuard(PeriodicCorrection):
             J = np.concatenate([J, near.gradient])
             opening = self._clearance + _SLACK - near.gap + near.gradient @ (q - target)
             openings = np.concatenate([openings, opening])
-        # Fingers in conflict stay, and then those that would collide with them.
-        stay = np.zeros(len(q), dtype=bool)
+        # Hold the fingers in conflict, then those that would collide with the held ones.
+        held = np.zeros(len(q), dtype=bool)
         while conflict.pairs:
-            meeting = self._hand_clearance.joints_between(conflict.pairs).any(axis=0)
-            if not (meeting & ~stay).any():
+            in_conflict = self._hand_clearance.joints_between(conflict.pairs).any(axis=0)
+            if not (in_conflict & ~held).any():
                 return clear
-            stay |= meeting
-            q = np.where(stay, clear, target)
+            held |= in_conflict
+            q = np.where(held, clear, target)
             conflict = self._hand_clearance.near(q, _PAIRS)
         return q
 
@@ -135,7 +135,7 @@ def _smallest_change(
 ) -> np.ndarray | None:
     """Returns the x (n,) of least norm with J x ≥ opening (K,), or None if there is none.
 
-    Bounds low ≤ x ≤ high are added where x violates them.
+    The bounds low ≤ x ≤ high are imposed where the solution without them violates them.
     """
     x = _least_norm(J, opening)
     if x is None or not ((under := x < low) | (over := x > high)).any():

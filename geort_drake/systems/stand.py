@@ -15,7 +15,7 @@ _TURN_STIFFNESS, _TURN_DAMPING = 0.5, 0.005  # N m/rad and N m s/rad
 class Stand(LeafSystem):
     """A spring and a damper that hold a body in place until a release time.
 
-    A constraint of the plant could be released only from outside the diagram.
+    Unlike a constraint of the plant, it is released from inside the diagram.
 
     Input ports:
         body_poses (abstract list of RigidTransform), body_spatial_velocities (abstract list of
@@ -27,7 +27,7 @@ class Stand(LeafSystem):
 
     Args:
         X_WP: pose at which the body is held.
-        duration: for which it holds from the start, or from a restart, s.
+        duration: how long the body is held after the start or a restart, s.
     """
 
     def __init__(self, body: BodyIndex, X_WP: RigidTransform, duration: float):
@@ -42,7 +42,7 @@ class Stand(LeafSystem):
         self.DeclareAbstractOutputPort("force", lambda: nothing, self._calc_force)
 
     def restart(self, context: Context) -> None:
-        """Holds the body from now on."""
+        """Holds the body again, from the present time on."""
         until = context.get_time() + self._duration
         context.get_mutable_numeric_parameter(self._until).SetAtIndex(0, until)
 

@@ -13,7 +13,7 @@ WRIST_JUMPED = "held: the wrist moved faster than a wrist can"
 WRIST_NOT_FINITE = "held: the wrist's pose is not finite"
 _STATES = ("", WRIST_JUMPED, WRIST_NOT_FINITE)
 
-# s; the allowed jump grows with the time between two poses up to this gap, the longest of usual trackers.
+# s; the allowed jump grows with the time between poses, up to this gap, the longest of common trackers.
 _MAX_GAP = 0.04
 _TIME_TOLERANCE = 1e-9  # s; for rounding errors in sums of periods
 # Faster motions are not followed; the arm could not follow them, either.
@@ -26,14 +26,14 @@ _SETTLE_TIME = 0.1
 class WristChecks(LeafSystem):
     """Marks the wrist as lost while its pose is not finite or moves faster than a wrist can.
 
-    After a jump, poses are compared with the new one. A tracker that stays there is followed again after the
-    settling time; `Clutch` applies only the motion from then on.
+    After a jump, poses are compared with the new one. If the tracker stays there, it is followed again after
+    the settling time; `Clutch` applies only the motion from then on.
 
     Input ports:
         wrist_pose (abstract RigidTransform): X_WH.
-        valid (1): 1 followed, 0 lost.
+        valid (1): 1 tracked, 0 lost.
     Output ports:
-        valid (1): 1 if the input `valid` is and the pose can be followed.
+        valid (1): 1 if the input `valid` is 1 and the pose can be followed.
         state (abstract str): why the pose cannot be followed, or empty, regardless of the input `valid`.
 
     State: the last pose as qw qx qy qz x y z, when it changed (s), when it was last bad (s), and the index of
@@ -52,7 +52,7 @@ class WristChecks(LeafSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._update)
 
     def _judge(self, context: Context) -> tuple[np.ndarray, str]:
-        """Returns the memory after this time, and the state."""
+        """Returns the updated memory (10,) and the state."""
         time = context.get_time()
         memory = context.get_discrete_state(self._memory).value()
         last, (changed, bad_since, code) = memory[:7], memory[7:].tolist()

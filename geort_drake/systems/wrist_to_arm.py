@@ -89,7 +89,7 @@ class WristToArm(Diagram):
         active, idle = is_arm.copy(), np.flatnonzero(~is_arm)
         if len(idle):
             # OSQP prints a line to stdout for every solution without an active limit (OSQP issue 785). A
-            # joint that should move but has zero speed keeps one limit active, without other effect.
+            # joint that should move but has zero speed keeps one limit active, with no other effect.
             active[idle[0]] = True
             speed[idle[0]] = 0.0
             q_nominal[idle[0]] += 1.0
@@ -156,7 +156,7 @@ class WristToArm(Diagram):
 def _recipe(
     config: WristToArmConfig, plant: MultibodyPlant, active: np.ndarray, speed: np.ndarray
 ) -> DifferentialInverseKinematicsSystem.Recipe:
-    """Follows the pose, and in its null space the nominal posture, within the limits."""
+    """Returns a recipe that follows the pose and, in its null space, the nominal posture, within limits."""
     ik = DifferentialInverseKinematicsSystem
     recipe = ik.Recipe()
     recipe.AddIngredient(ik.LeastSquaresCost(ik.LeastSquaresCost.Config(cartesian_qp_weight=100.0)))
