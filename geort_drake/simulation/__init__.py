@@ -1,1 +1,1 @@
-"""Trials: scenario, world, diagram; `tasks`; `operators`, the simulated people."""
+"""Simulated trials: scenario, world and diagram; `tasks`; and `operators`, the simulated people."""

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dc.dataclass(frozen=True)
 class TrialDiagram:
-    """The diagram of a trial, and its parts with results."""
+    """The diagram of a trial, and the parts of it that hold results."""
 
     diagram: Diagram
     plant: MultibodyPlant
@@ -56,7 +56,7 @@ class TrialDiagram:
     def initialize(self, root: Context) -> None:
         """Prepares the task's stage in a context, locks the arm of a fixed base, and removes visual geometry.
 
-        The recorder has already read that geometry.
+        The recorder no longer needs that geometry: it read it when the diagram was built.
         """
         remove_visuals(self.plant, self.stage.scene.scene_graph, root)
         self.stage.scene.initialize(root)
@@ -81,7 +81,7 @@ def make_trial_diagram(
         properties: properties of the Rerun recording.
 
     Raises:
-        ScenarioError, HandError: the scenario and the models do not fit.
+        ScenarioError, HandError: scenario, hand and retargeter do not fit together.
     """
     rng = np.random.default_rng(scenario.random_seed)
     description = load_hand(scenario.hand)
@@ -128,7 +128,7 @@ def make_trial_diagram(
                 late = _mirrored(builder, name, late, mirror)
             builder.Connect(late, operator.GetInputPort(name))
     if scenario.glove.faulty:
-        # Its own generator, so that the placement and the person's noise do not depend on it.
+        # A separate generator, so that placement and the person's noise do not depend on the faults.
         faults = np.random.default_rng([scenario.random_seed, 1])
         glove = builder.AddNamedSystem("worn_glove", WornGlove(scenario.glove, scenario.timeout, faults))
         for name in ("keypoints", "wrist_pose", "valid"):
@@ -208,7 +208,7 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
 
 
 def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort, signs: np.ndarray) -> OutputPort:
-    """A port of mirrored poses or points."""
+    """Returns a port with the poses or points of `port`, mirrored."""
     mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
     builder.Connect(port, mirror.get_input_port())
     return mirror.get_output_port()

@@ -1,4 +1,4 @@
-"""Plans for a hand whose fingertips must be at given places."""
+"""Plans postures of a hand whose fingertips must reach given points."""
 
 import abc
 import dataclasses as dc
@@ -13,18 +13,18 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
 from geort_drake.simulation.operators.goal import Intended
 
-_TOLERANCE = 0.001  # m, of fingertips
+_TOLERANCE = 0.001  # m, largest position error of a fingertip
 _LIMIT_MARGIN = 0.1  # fraction of its range that a joint keeps from either limit
-_COMFORT = 1e-3  # m, weight of the distance of a joint from the middle of its range, per range
+_COMFORT = 1e-3  # m per range; weight of a joint's distance from the middle of its range
 
 
 @dc.dataclass(frozen=True)
 class FingerPlan(Generic[Intended]):
-    """A goal, and postures of the hand for it. Tasks add postures.
+    """A goal and postures of the hand for it. Tasks add further postures.
 
     Attributes:
         discomfort: mean square distance of the fingers' joints from the middle of their ranges, in ranges.
-        q_open: (n,) or (steps, n) joint positions with the fingers off what they handle, rad.
+        q_open: (n,) or (steps, n) joint positions with the fingers away from the object, rad.
     """
 
     goal: Intended
@@ -36,17 +36,17 @@ Plan = TypeVar("Plan", bound=FingerPlan[Any])
 
 
 class FingerPlanner(abc.ABC, Generic[Plan]):
-    """Plans a task for the tips of K fingers; the other fingers stay as by default.
+    """Plans a task for the tips of K fingers; the other fingers keep their default positions.
 
     Attributes:
-        needed: names of the fingers.
-        task: begins the error of a hand that lacks one, such as "the keys need".
-        aim: what a hand without a plan cannot do, for the error.
-        hand: the hand alone.
-        fingers: (K,) their numbers among all F in the description.
-        radius: (K,) of their tips, m.
-        touches: (F,) whether a finger is one of them.
-        side: sign of y in B towards the index finger: 1 of a right hand, −1 of a left one.
+        needed: names of the K fingers.
+        task: start of the error message for a hand that lacks one of them, such as "the keys need".
+        aim: what a hand without a plan cannot do, for the error message.
+        hand: model of the hand alone.
+        fingers: (K,) indices of the fingers among all F of the description.
+        radius: (K,) radii of their tips, m.
+        touches: (F,) whether a finger is one of the K.
+        side: sign of y in B towards the index finger: 1 for a right hand, −1 for a left one.
 
     Raises:
         ScenarioError: the hand lacks one of the fingers.
@@ -69,10 +69,10 @@ class FingerPlanner(abc.ABC, Generic[Plan]):
         self._context = self.hand.contact_context()
 
     def plans(self) -> list[Plan]:
-        """All ways to do the task, the best first; deterministic.
+        """Returns all plans for the task, the best first; deterministic.
 
         Raises:
-            ScenarioError: there is none.
+            ScenarioError: the hand has no plan.
         """
         if not (found := self._find()):
             raise ScenarioError(f"hand '{self.hand.description.name}' cannot {self.aim}")
@@ -80,10 +80,10 @@ class FingerPlanner(abc.ABC, Generic[Plan]):
 
     @abc.abstractmethod
     def _find(self) -> Sequence[Plan]:
-        """All plans, in any order."""
+        """Returns all plans, in any order."""
 
     def _rank(self, plan: Plan) -> tuple[float, ...]:
-        """The less, the better; by default the most comfortable plan is the best."""
+        """Returns the sort key of a plan, lowest first; by default its discomfort."""
         return (plan.discomfort,)
 
     def discomfort(self, q: np.ndarray) -> float:
@@ -95,13 +95,13 @@ class FingerPlanner(abc.ABC, Generic[Plan]):
         return (q[self._columns] - 0.5 * (lower + upper)) / (upper - lower)
 
     def all_tips(self, p_BF: np.ndarray) -> np.ndarray:
-        """(F, 3) fingertip points with those of the K fingers at p_BF (K, 3) and the others at rest, m."""
+        """Returns fingertip points (F, 3), m: p_BF (K, 3) for the K fingers, default ones for the others."""
         tips = self.hand.fingertips(self.hand.default_position).copy()
         tips[self.fingers] = p_BF
         return tips
 
     def is_clear(self, q: np.ndarray, p_BQ: np.ndarray, gap: float, ignored: Collection[str] = ()) -> bool:
-        """Whether only fingertips and ignored links are nearer than `gap`, m, to points (N, 3) in B."""
+        """Whether no links but fingertips and ignored ones are within `gap`, m, of p_BQ (N, 3)."""
         query, hand = self.hand.query(q, self._context), self.hand
         return not any(
             found.distance < gap
@@ -112,9 +112,12 @@ class FingerPlanner(abc.ABC, Generic[Plan]):
         )
 
     def reach(self, p_BF: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
-        """Joint positions (n,), rad, with the fingertips at p_BF (K, 3), m, or None.
+        """Returns joint positions (n,), rad, with the fingertips at p_BF (K, 3), m, or None.
 
-        The hand does not touch itself but with its tips, and the joints keep off their limits.
+        Only the tips may touch each other, and the joints keep a margin to their limits.
+
+        Args:
+            guess: (n,) joint positions from which the search starts, rad.
         """
         hand, columns = self.hand, self._columns
         margin = _LIMIT_MARGIN * (hand.upper - hand.lower)
@@ -139,14 +142,14 @@ class FingerPlanner(abc.ABC, Generic[Plan]):
         start = np.clip(guess[columns], *bounds)
         found = least_squares(residuals, start, jacobian, bounds, max_nfev=60)
         q = posture(found.x)
-        missed = np.linalg.norm(found.fun[: p_BF.size].reshape(-1, 3), axis=1).max()
-        if missed > _TOLERANCE or hand.collides_beyond_tips(q):
+        tip_error = np.linalg.norm(found.fun[: p_BF.size].reshape(-1, 3), axis=1).max()
+        if tip_error > _TOLERANCE or hand.collides_beyond_tips(q):
             return None
         return q
 
 
 def require_fingers(description: HandDescription, needed: Iterable[str], task: str) -> None:
-    """Raises ScenarioError for a finger that a hand lacks; `task` begins it, such as "the keys need"."""
+    """Raises ScenarioError if a hand lacks a finger; the message starts with `task`, e.g. "the keys need"."""
     for name in needed:
         if name not in description.finger_names:
             has = ", ".join(description.finger_names)

@@ -1,4 +1,4 @@
-"""Tasks for the fingers of a parked hand."""
+"""Base class of tasks for the fingers of a hand that stays in place."""
 
 import abc
 import dataclasses as dc
@@ -29,14 +29,14 @@ from geort_drake.systems.stand import Stand
 
 @dc.dataclass(frozen=True, eq=False)
 class Handled:
-    """A model that the fingers handle, in a plant that is not finalized.
+    """An object that the fingers handle, in a plant that is not finalized.
 
     Attributes:
-        body: what the person sees and touches.
-        parts: bodies that count as parts of it.
-        joints: that the monitor sees, in its input port `joints`: their positions, then velocities.
-        X_WO: pose of a free body at the start, in which a stand holds it for the setting `ready_time`.
-        outline: see `Target`, of a body that is drawn at the monitor's `target_pose` too.
+        body: the body that the person sees and touches.
+        parts: other bodies that count as parts of it.
+        joints: joints for the monitor's input port `joints`, which gets their positions, then velocities.
+        X_WO: initial pose of a free body, in which a stand holds it for the setting `ready_time`.
+        outline: see `Target`; None unless the body is drawn at the monitor's `target_pose`, too.
     """
 
     body: RigidBody
@@ -47,13 +47,14 @@ class Handled:
 
 
 class FingerTask(Task[Intended]):
-    """A task for the fingers of a parked hand, which all kinds of people can do.
+    """A task for the fingers of a hand that stays in place; all kinds of people can do it.
 
     Attributes:
         settings: dataclass of the scenario's `task_settings`.
-        planner: of the goals.
-        monitor_type: is made of the number of fingers and the settings, unless `make_monitor` is overridden.
-        person_type: decides how the fingers move.
+        planner: class that plans the goals.
+        monitor_type: class of the monitor, constructed from the number of fingers and the settings unless
+            `make_monitor` is overridden.
+        person_type: class that decides how the fingers move.
         percepts: ports of view or monitor that the person perceives besides fingertips and hand pose.
     """
 
@@ -68,17 +69,17 @@ class FingerTask(Task[Intended]):
     def add_handled(
         self, plant: MultibodyPlant, goal: Intended, X_WB: RigidTransform, rng: np.random.Generator
     ) -> Handled:
-        """Adds what is handled, for a hand at X_WB."""
+        """Adds the object to the plant, for a hand at X_WB."""
 
     def make_monitor(
         self, num_fingers: int, goal: Intended, X_WB: RigidTransform, settings: Any, rng: np.random.Generator
     ) -> TaskMonitor:
-        """Judges the task; `rng` has drawn what is handled."""
+        """Returns the monitor; `rng` has already been used by `add_handled`."""
         return self.monitor_type(num_fingers, settings)
 
     @abc.abstractmethod
     def recorded(self, monitor: TaskMonitor, settings: Any) -> tuple[States, Signals]:
-        """What `Stage` has for recordings."""
+        """Returns the states and signals of `Stage` for recordings."""
 
     def check_settings(self, settings: Mapping[str, float]) -> None:
         names = [field.name for field in dc.fields(self.settings)]
@@ -108,10 +109,10 @@ class FingerTask(Task[Intended]):
         falling = None if handled.X_WO is None else model
         scene = finish_scene(plant, scene_graph, scenario, description, falling)
         view = add_view(builder, scene, description, body, handled.parts)
-        still = plant.get_desired_state_input_port(model)
-        if still.size():  # a brake holds a joint still
-            zeros = builder.AddSystem(ConstantVectorSource(np.zeros(still.size())))
-            builder.Connect(zeros.get_output_port(), still)
+        brake = plant.get_desired_state_input_port(model)
+        if brake.size():  # the object's actuated joint is a brake
+            zeros = builder.AddSystem(ConstantVectorSource(np.zeros(brake.size())))
+            builder.Connect(zeros.get_output_port(), brake)
         if handled.X_WO is not None:
             stand = builder.AddNamedSystem("stand", Stand(body.index(), handled.X_WO, settings.ready_time))
             for name in ("body_poses", "body_spatial_velocities"):

@@ -1,4 +1,4 @@
-"""Connects a human hand to a robot, in trials and in live use: the robot's model, and systems."""
+"""Models a scenario's robot, and adds the systems by which it follows a human hand."""
 
 import dataclasses as dc
 
@@ -26,7 +26,7 @@ class JointGroup:
     """The n actuated joints of one model, in actuator order.
 
     Attributes:
-        name: of the model.
+        name: name of the model.
         joints: names of the joints.
         start, lower, upper: (n,) default positions and position limits, rad.
     """
@@ -54,10 +54,10 @@ class RobotModel:
     """Kinematics, joints and limits of a scenario's robot, without the object.
 
     Attributes:
-        diagram: the robot at its start.
-        hand, arm: their joints; `start` as given by the scenario and the hand's description.
-        limits: of the hand's joints, in actuator order.
-        X_WB: of the hand's base at the start.
+        diagram: the robot at its initial position.
+        hand, arm: the joints of each; scenario and hand description give their `start`.
+        limits: limits of the hand's joints, in actuator order.
+        X_WB: initial pose of the hand's base.
     """
 
     def __init__(self, scenario: Scenario, description: HandDescription):
@@ -98,14 +98,14 @@ def add_fingers(
     latency: float,
     checks: GloveChecks,
 ) -> tuple[RetargetingSystem, ActionCorrection]:
-    """Adds retargeting, which it connects to the glove, and correction, which it does not connect.
+    """Adds retargeting, connected to the glove, and correction, not connected.
 
     Args:
-        retarget: a `Retargeter`, or anything with its `joint_names` and its call.
-        start: positions of the hand's joints (n,), rad, in the model's order.
-        glove: outputs keypoints, and a stamp if it has one.
-        valid: whether the keypoints count.
-        latency, checks: of the retargeting.
+        retarget: a `Retargeter`, or a similar callable with `joint_names`.
+        start: initial positions of the hand's joints (n,), rad, in the model's order.
+        glove: a system with the output port `keypoints` and, optionally, `stamp`.
+        valid: port that tells whether the keypoints are tracked.
+        latency, checks: see `RetargetingSystem`.
 
     Raises:
         HandError: the retargeter and the robot move different joints.
@@ -145,17 +145,16 @@ def add_arm(
     glove: LeafSystem,
     limit_acceleration: bool = False,
 ) -> tuple[WristToArm, LeafSystem]:
-    """Adds the system that moves the arm, and connects the wrist's pose.
+    """Adds the system that moves the arm, and connects it to the wrist's pose.
 
-    A left hand's glove outputs the mirror image of the hand, which is mirrored back.
+    The glove of a left hand outputs the mirror image of the hand, so a system mirrors it back.
 
     Args:
-        robot: its default positions are the start.
-        glove: outputs keypoints and the wrist's pose.
-        limit_acceleration: see `WristToArm`.
+        robot, limit_acceleration: see `WristToArm`.
+        glove: a system with the output ports `keypoints` and `wrist_pose`.
 
     Returns:
-        The system, and the source of the hand in the world.
+        The system that moves the arm, and the system that outputs the hand's true keypoints and wrist pose.
     """
     arm, hand = (robot.plant().GetModelInstanceByName(name) for name in (ARM, HAND))
     base = robot.plant().GetFrameByName(description.base_frame, hand)

@@ -1,4 +1,4 @@
-"""Free motion before a task: the person sees where the robot's fingertips go, and selects a plan."""
+"""Free play before a task: the person sees where the robot's fingertips go, and selects a plan."""
 
 import dataclasses as dc
 import math
@@ -19,18 +19,18 @@ DURATION, RATE = 30.0, 30.0  # s, frames per second
 
 
 def _frames(person: HumanHand) -> np.ndarray:
-    """(T, 21, 3) keypoints of free play, m, H."""
+    """Returns keypoints (T, 21, 3) of free play, m in H."""
     return synthesize_play(seed=0, duration_s=DURATION, rate_hz=RATE, hand=person).p_HK.astype(float)
 
 
 def seen_fingertips(
     retarget: Callable[[np.ndarray], np.ndarray], hand: HandModel, person: HumanHand, latency: float = 0.0
 ) -> FreePlay:
-    """Own and robot fingertips during the person's free play; T is 0 if the method raises.
+    """Returns the person's and the robot's fingertips during free play; none if the method raises.
 
-    Of a universal map, give the one `after_play`.
-
-    A method whose `latency` (s) exceeds the time between frames gets fewer of them.
+    Args:
+        retarget: the method; for a universal map, the result of `after_play`.
+        latency: of the method, s; if it exceeds the time between frames, the method gets fewer frames.
     """
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
@@ -50,21 +50,21 @@ def seen_fingertips(
 
 
 def after_play(retarget: Any, person: HumanHand) -> Any:
-    """The map that the person uses after free play: that of the person, of a universal map."""
+    """Returns the map after free play: a universal map adapted to the person, any other as it is."""
     return retarget.for_person(_frames(person)) if isinstance(retarget, UniversalRetargeter) else retarget
 
 
 def keep_reached(plans: Sequence[Intended], play: FreePlay) -> tuple[Intended, bool]:
-    """Selects the first plan of which the robot's fingertips have reached all places, within its clearance.
+    """Selects the first plan whose places the robot's fingertips have all reached, within its clearance.
 
-    Each touching fingertip is compared by its smallest distance from its place.
+    A fingertip has reached a place if its smallest distance from it is within the clearance.
 
     Args:
-        plans: at least one, in the order of preference.
-        play: of `seen_fingertips`, which the plan then has.
+        plans: at least one, in order of preference.
+        play: result of `seen_fingertips`; the returned plan carries it.
 
     Returns:
-        The plan and True. Without an attainable plan: the nearest one, with an infinite clearance, and False.
+        The plan and True; or, without an attainable plan, the nearest one with infinite clearance, and False.
     """
     excess = [_excess(play.p_BF, goal) for goal in plans]
     kept, attainable = plans[excess.index(min(excess))], min(excess) == 0.0
@@ -72,7 +72,7 @@ def keep_reached(plans: Sequence[Intended], play: FreePlay) -> tuple[Intended, b
 
 
 def _excess(p_BF: np.ndarray, goal: Goal) -> float:
-    """By how much play (T, F, 3) missed the places of touching fingertips, beyond the clearance, m."""
+    """Returns the largest distance by which play (T, F, 3) missed a goal's places beyond its clearance, m."""
     if goal.clearance == np.inf:
         return 0.0
     misses = [np.linalg.norm(p_BF - place, axis=-1).min(axis=0, initial=np.inf) for place in goal.places()]

@@ -1,4 +1,4 @@
-"""What the monitors of tasks share: settings, outcome, ports, and the end of a decided simulation."""
+"""Base classes of task monitors: settings, outcome, and a monitor that ends a decided simulation."""
 
 import abc
 import dataclasses as dc
@@ -14,12 +14,12 @@ from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSyste
 from geort_drake.settings import require_numbers
 from geort_drake.systems.port_values import Immutable
 
-PERIOD = 0.01  # s, between two checks
+PERIOD = 0.01  # s between two checks
 
 
 @dc.dataclass(frozen=True)
 class TaskSettings:
-    """Positive numbers of a scenario's `task_settings`."""
+    """Base of a scenario's `task_settings`, all positive numbers."""
 
     def __post_init__(self) -> None:
         """Raises ValueError for a value out of range."""
@@ -28,12 +28,12 @@ class TaskSettings:
 
 @dc.dataclass(frozen=True, kw_only=True)
 class Outcome(abc.ABC, Immutable):
-    """What a monitor judges.
+    """Result of a task so far, as judged by its monitor.
 
     Attributes:
         began: time at which the task began, s.
         t: time of the last check, s.
-        peak_force: largest contact force between a finger and what is handled, N.
+        peak_force: largest contact force between a finger and the object, N.
         self_contact_time: total time in which links of the hand touched each other, s; see `SceneView`.
     """
 
@@ -50,16 +50,16 @@ class Outcome(abc.ABC, Immutable):
     @property
     @abc.abstractmethod
     def over(self) -> bool:
-        """Whether it is decided."""
+        """Whether the task is decided."""
 
     @property
     @abc.abstractmethod
     def score(self) -> float:
-        """How much of it is done, from 0 to 1."""
+        """How much of the task is done, from 0 to 1."""
 
     @property
     def completion_time(self) -> float:
-        """The simulation's time at success, s; NaN without."""
+        """Simulation time at success, s; NaN without success."""
         return self.t if self.success else math.nan
 
 
@@ -67,10 +67,10 @@ Judged = TypeVar("Judged", bound=Outcome)
 
 
 class TaskMonitor(LeafSystem, Generic[Judged]):
-    """Judges a task periodically, and terminates a simulation that is decided.
+    """Judges a task periodically, and terminates the simulation once the task is decided.
 
     Input ports (F fingers):
-        contact (F): force between each finger and what is handled, N.
+        contact (F): force between each finger and the object, N.
         self_contact (1): above 0 while links of the hand touch each other.
     Output port:
         outcome (abstract): an `Outcome`.
@@ -79,7 +79,7 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
 
     Args:
         start: outcome before the first check.
-        period: between two checks, s.
+        period: time between two checks, s.
     """
 
     def __init__(self, num_fingers: int, start: Judged, period: float = PERIOD):
@@ -87,28 +87,29 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         self._start, self._period = start, period
         self._contact = self.DeclareVectorInputPort("contact", num_fingers)
         self._self_contact = self.DeclareVectorInputPort("self_contact", 1)
-        self._of_outcome = {self.abstract_state_ticket(self.DeclareAbstractState(AbstractValue.Make(start)))}
+        state = self.DeclareAbstractState(AbstractValue.Make(start))
+        self._outcome_tickets = {self.abstract_state_ticket(state)}
         self.DeclareAbstractOutputPort(
             "outcome",
             lambda: AbstractValue.Make(start),
             lambda context, output: output.set_value(self.outcome(context)),
-            self._of_outcome,
+            self._outcome_tickets,
         )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._check)
 
     def _declare_output(self, name: str, size: int, value: Callable[[Judged], ArrayLike]) -> None:
-        """Adds an output port with numbers (size,) that follow from the outcome."""
+        """Adds an output port with numbers (size,) computed from the outcome."""
         self.DeclareVectorOutputPort(
             name,
             size,
             lambda context, output: output.SetFromVector(
                 np.array(value(self.outcome(context)), float, ndmin=1)
             ),
-            self._of_outcome,
+            self._outcome_tickets,
         )
 
     def _declare_positions(self, name: str, state: InputPort) -> None:
-        """Adds an output port with the first half of an input port of positions, then velocities."""
+        """Adds an output port with the positions from an input port of positions, then velocities."""
         size = state.size() // 2
         self.DeclareVectorOutputPort(
             name,
@@ -118,18 +119,18 @@ class TaskMonitor(LeafSystem, Generic[Judged]):
         )
 
     def outcome(self, context: Context) -> Judged:
-        """The outcome so far."""
+        """Returns the outcome so far."""
         return context.get_abstract_state(0).get_value()
 
     def restart(self, context: Context) -> None:
-        """Restarts the task now."""
+        """Restarts the task at the present time."""
         context.SetAbstractState(0, self._start.having(began=context.get_time()))
 
     def _judged(self, context: Context, before: Judged) -> Judged:
-        """The outcome now, except for forces and contacts of the hand with itself; `before` has its `t`."""
+        """Returns the new outcome except force and self-contact; `before` is the last with the new `t`."""
         raise NotImplementedError
 
-    def _look(self, context: Context, state: State) -> EventStatus:
+    def _check(self, context: Context, state: State) -> EventStatus:
         before = self.outcome(context)
         if before.over:
             return EventStatus.DidNothing()

@@ -1,4 +1,4 @@
-"""The shape of an object as convex primitives, read from its model."""
+"""Reads the shape of an object from its model, as convex primitives."""
 
 import dataclasses as dc
 import functools
@@ -37,7 +37,7 @@ class ObjectShape:
 
     @functools.cached_property
     def _minkowski_summands(self) -> tuple[np.ndarray, ...]:
-        """Poses R_OG (N, 3, 3) and p_OG (N, 3) of the parts, and the summands of their Minkowski sums.
+        """Poses R_OG (N, 3, 3) and p_OG (N, 3) of the N parts, and the Minkowski summands of each.
 
         The summands are boxes of half sides (N, 3), disks of radius (N,) across z, and ellipsoids of half
         axes (N, 3). The support function of a sum is the sum of the support functions.
@@ -74,7 +74,7 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
 
 
 def half_extents(shape: Shape) -> np.ndarray:
-    """Half sides of the box around a primitive, along its own axes, (3,) m."""
+    """Returns half the sides (3,) of a primitive's bounding box along its own axes, m."""
     if isinstance(shape, Box):
         return shape.size() / 2
     if isinstance(shape, Cylinder):
@@ -87,7 +87,7 @@ def half_extents(shape: Shape) -> np.ndarray:
 
 
 def _summands(shape: Shape) -> tuple[np.ndarray, float, np.ndarray]:
-    """Half sides of a box, radius of a disk and half axes of an ellipsoid that sum to a shape."""
+    """Returns a box's half sides, a disk's radius and an ellipsoid's half axes whose sum is the shape."""
     nothing, half = np.zeros(3), half_extents(shape)
     if isinstance(shape, Box):
         return half, 0.0, nothing

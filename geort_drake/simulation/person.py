@@ -1,4 +1,4 @@
-"""The hand of the simulated person."""
+"""Selects the hand of the simulated person."""
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.population import sample_person
@@ -7,5 +7,5 @@ from geort_drake.simulation.scenario import Scenario
 
 
 def persons_hand(scenario: Scenario, recording: Recording) -> HumanHand:
-    """The hand of the scenario's `person`: fitted to the recording for 0, otherwise from the population."""
+    """Returns the hand of the scenario's `person`: 0 is fitted to the recording, others are sampled."""
     return sample_person(0, scenario.person).hand if scenario.person else HumanHand.fit(recording)

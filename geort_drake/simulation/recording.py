@@ -1,4 +1,4 @@
-"""The Rerun recorder of a trial."""
+"""Adds the Rerun recorder of a trial."""
 
 import math
 import os
@@ -55,17 +55,17 @@ def add_grasp_recorder(
     X_WHand: RigidTransform,
     properties: Mapping[str, str | int | float | bool],
 ) -> RerunRecorder:
-    """Adds a recorder of robot, object, human hand, contact forces, joints and phases.
+    """Adds a recorder of robot, object, human hand, contact forces, joint signals and phases.
 
     Args:
-        stage: of the task.
+        stage: the task's stage.
         seen: name → delayed port that the operator reads; empty for a replay.
         source: the operator or the replay.
         hand_source: provides keypoints and wrist pose of the hand that is drawn.
         correction: the system that commands the hand.
         wrist_to_arm: the system that commands the arm.
-        X_WHand: pose of the tracker's frame in W, to draw the human hand beside the robot's.
-        properties: of the recording, besides scenario and software versions.
+        X_WHand: pose of the tracker's frame in W, to draw the human hand next to the robot's.
+        properties: properties of the recording besides hand, object, delays and software versions.
     """
     plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
@@ -85,7 +85,7 @@ def add_grasp_recorder(
     colors = finger_colors(fingers)
 
     def distance(states: np.ndarray) -> np.ndarray:
-        """(T, F) mm, from (T, 4n): commanded q and v, then measured q and v."""
+        """Returns distances (T, F), mm, from states (T, 4n): commanded q and v, then measured q and v."""
         return 1e3 * np.linalg.norm(fingertips(states[:, 2 * n : 3 * n]) - fingertips(states[:, :n]), axis=2)
 
     specs: dict[str, Spec] = {
@@ -163,7 +163,7 @@ def add_grasp_recorder(
 
 
 def _placed(X_WO: np.ndarray, p_OQ: np.ndarray) -> np.ndarray:
-    """Points (N, 3), m, in the world (T, N, 3) at poses (T, 7), qw qx qy qz x y z."""
+    """Transforms points p_OQ (N, 3) by poses (T, 7), qw qx qy qz x y z, into p_WQ (T, N, 3), m."""
     w, v = X_WO[:, None, :1], X_WO[:, None, 1:4]
     half = np.cross(v, p_OQ)
     return p_OQ + 2 * (w * half + np.cross(v, half)) + X_WO[:, None, 4:]
@@ -177,12 +177,12 @@ def _joint_signals(
     commanded: OutputPort,
     measured: OutputPort,
 ) -> dict[str, SignalSpec]:
-    """Positions, and torques as fractions of their limits; in N m if a joint of the model has no limit.
+    """Returns signals of joint positions, and of torques as fractions of their limits, or else in N m.
 
     Args:
-        key: entity path.
-        names: of the n joints; those of a hand as "finger/joint".
-        commanded, measured: (2n) joint positions, then velocities, which are not recorded.
+        key: entity path of the signals.
+        names: names of the n joints; for a hand as "finger/joint".
+        commanded, measured: ports of n joint positions, then velocities, which are not recorded.
     """
     n = len(names)
     actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(model))
@@ -215,7 +215,7 @@ def _joint_signals(
 
 
 def _path(plant: MultibodyPlant, body: RigidBody) -> PointsSpec:
-    """The path of a free body, from the plant's state."""
+    """Returns the spec of a free body's path, from the plant's state."""
     model = body.model_instance()
     names = plant.GetPositionNames(model, add_model_instance_prefix=False)
     xyz = [names.index(f"{body.name()}_{axis}") for axis in "xyz"]
@@ -229,7 +229,7 @@ def _close_ups(
     bodies: Sequence[RigidBody],
     fingertips: PlantFingertips,
 ) -> dict[str, CloseUpSpec]:
-    """Both hands from the index finger's side, which shows thumb, fingers and the held object."""
+    """Returns close-ups of both hands from the index finger's side, with the held object in view."""
     hand = plant.GetModelInstanceByName(HAND)
     rest = np.array([joint.default_positions()[0] for joint in actuated_joints(plant, hand)])
     reach = np.linalg.norm(fingertips(rest[None]), axis=2).max()

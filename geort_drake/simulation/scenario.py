@@ -65,18 +65,18 @@ class RecordingConfig:
 
     # Time between recorded frames, s.
     period: float = 0.02
-    # Without effect; kept so that earlier scenarios load.
+    # Ignored; it lets older scenario files load.
     public_meshes: bool = False
 
 
 @dc.dataclass
 class Scenario:
-    """One trial: the task, the world, the person, and the chain between them."""
+    """One trial: task, world, person, and the retargeting between person and robot."""
 
-    # What the person does, a folder in geort_drake/simulation/tasks; and numbers of its own settings.
+    # Name of the task, a folder in geort_drake/simulation/tasks; and values for the task's own settings.
     task: str = "grasp"
     task_settings: dict[str, float] = dc.field(default_factory=dict)
-    # Kind of the simulated person; the task lists those that it has.
+    # Kind of the simulated person, one of the task's `kinds`.
     kind: str = "servo"
     # Seed of the object's placement, mass and friction, and of the person's noise.
     random_seed: int = 0
@@ -97,25 +97,25 @@ class Scenario:
     # Description of the robot hand: a stem in models/hands, or a path. Its model is added as `hand`, unless
     # the directives add it.
     hand: str = "allegro_right"
-    # Frame that carries the hand; the hand's `mount` is relative to it.
+    # Frame to which the hand is welded; the hand's `mount` is relative to it.
     hand_parent: str = "adapter::hand_side"
     # Factor on the proportional gains of the hand's controllers; damping ratios stay.
     hand_stiffness_factor: float = 1.0
-    # Hydroelastic modulus of the hand's fingertips, Pa, on rigid objects; soft rubber has about 1e5. 0: point
-    # contact. Other values need `plant_config.contact_model: hydroelastic_with_fallback`.
+    # Hydroelastic modulus of the hand's fingertips, Pa, against rigid objects; soft rubber has about 1e5. 0
+    # selects point contact. Other values need `plant_config.contact_model: hydroelastic_with_fallback`.
     fingertip_modulus: float = 0.0
-    # Whether the arm stays where it starts. Replays then need no wrist poses.
+    # Whether the arm keeps its initial position. Replays then need no wrist poses.
     fixed_base: bool = False
-    # Joint positions of the arm at the start, by name, rad; and those that differ for a left hand.
+    # Initial joint positions of the arm by name, rad; and those that differ for a left hand.
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
     left_arm_posture: dict[str, float] = dc.field(default_factory=dict)
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
-    # Number of the simulated person in the population of seed 0, see `sample_person`; 0: the hand of the
+    # Number of the simulated person in the population of seed 0, see `sample_person`; 0 is the hand of the
     # recording.
     person: int = 0
     glove: WornGloveConfig = dc.field(default_factory=WornGloveConfig)
     operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
-    # Further parameters of a person with an intention; grasps do not use them.
+    # Further parameters of the person for tasks other than grasp.
     intention: IntentionConfig = dc.field(default_factory=IntentionConfig)
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
     correction: CorrectionConfig = dc.field(default_factory=CorrectionConfig)
@@ -130,7 +130,7 @@ def object_names() -> list[str]:
 
 
 def object_file(name: str) -> Path:
-    """The model of an object or part; raises UnknownNameError if there is none."""
+    """Returns the model file of an object or part; raises UnknownNameError if there is none."""
     for folder in ("objects", "parts"):
         if (path := models_dir() / "sdf" / folder / f"{name}.sdf").is_file():
             return path
@@ -143,7 +143,7 @@ def parse_scenario(text: str) -> Scenario:
 
 
 def scenario_fields(text: str) -> dict:
-    """The fields in the output of `dump_scenario` as plain data; tags such as !Rpy are left out."""
+    """Returns the fields in the output of `dump_scenario` as plain data, without tags such as !Rpy."""
     return yaml.load(text, Loader=_Untagged)["Resolved"]
 
 

@@ -19,7 +19,7 @@ from geort_drake.systems.policy_correction import load_policy
 from geort_drake.systems.update_timing import check_timing
 from geort_drake.yaml_files import check_fields, fault_of
 
-# Rule → numeric fields.
+# Rule, its test, and the numeric fields to which it applies.
 _RULES = (
     (
         "positive and finite",
@@ -46,7 +46,7 @@ _RULES = (
     ("0 or more", lambda value: value >= 0, ("random_seed", "person")),
 )
 _MIN_TIME_STEP = 1e-5  # s; with a shorter step, a trial would take hours
-# These must be multiples of the plant's time step.
+# Periods that must be multiples of the plant's time step.
 _PERIODS = tuple(
     f"{part}.period" for part in ("retargeting", "wrist_to_arm", "operator", "monitor", "recording")
 )
@@ -120,7 +120,7 @@ def load_scenario(
 ) -> Scenario:
     """Reads a scenario by name, merges YAML `text` into it, and checks the result.
 
-    Mappings merge and lists replace, as in Drake's hardware_sim. `hand` replaces the scenario's.
+    Mappings are merged and lists replaced, as in Drake's hardware_sim. `hand` replaces the scenario's hand.
 
     Raises:
         ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
@@ -148,7 +148,7 @@ def load_scenario(
 
 
 def names_object(file: str | os.PathLike | None = None, name: str = "Grasp", text: str | None = None) -> bool:
-    """Whether a scenario that `load_scenario` accepts, or the text, names an object."""
+    """Whether a scenario that `load_scenario` accepts, or the merged text, sets the object's name."""
     path = Path(file or find_task("grasp").scenario[0])
     return bool(_merged(path, name, text, Scenario(object=ObjectConfig(name=""))).object.name)
 

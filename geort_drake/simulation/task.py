@@ -25,7 +25,7 @@ from geort_drake.systems.stand import Stand
 
 
 class PerceivedPort(NamedTuple):
-    """A port whose values the person perceives with delay; `mirror` has their signs in a mirror, if any."""
+    """A port that the person perceives with delay; `mirror` holds the signs that mirror its values."""
 
     port: OutputPort
     mirror: np.ndarray | None = None
@@ -35,9 +35,9 @@ class Target(NamedTuple):
     """The target pose of a body, drawn as a translucent copy.
 
     Attributes:
-        body: with frame O.
-        pose: port of the target X_WO, qw qx qy qz x y z.
-        outline: (N, 3) points on the body in O, m, which stand for it in recordings.
+        body: the body, with frame O.
+        pose: port with the target X_WO, qw qx qy qz x y z.
+        outline: (N, 3) points on the body in O, m, drawn in its place in recordings.
     """
 
     body: RigidBody
@@ -45,22 +45,23 @@ class Target(NamedTuple):
     outline: np.ndarray
 
 
-# Of recordings: name → port with the number of a state, and the states' names; name → port, its entries and
-# their unit.
+# For recordings: name → port with the number of a state, and the states' names; name → port, names of its
+# entries, and their unit.
 States = Mapping[str, tuple[OutputPort, Sequence[str]]]
 Signals = Mapping[str, tuple[OutputPort, Sequence[str], str]]
 
 
 @dc.dataclass(frozen=True)
 class Stage:
-    """What a task adds to a trial's diagram.
+    """The systems and ports that a task adds to a trial's diagram.
 
     Attributes:
+        scene: the plant and its robot.
         monitor: judges the task.
-        shown: name of the person's input port → what it shows.
-        states, signals: of recordings.
-        bodies: free bodies whose path is recorded, and through which close-ups look.
-        target: that is shown.
+        shown: name of the person's input port → the port that it perceives.
+        states, signals: states and signals to record.
+        bodies: free bodies whose path is recorded, and that are transparent in close-ups.
+        target: target pose to draw, if any.
         stand: holds a body until the person is ready.
     """
 
@@ -74,7 +75,7 @@ class Stage:
     stand: Stand | None = None
 
     def restart(self, root: Context) -> None:
-        """Restarts the task now, when the person is ready."""
+        """Restarts the task at the present time, when the person is ready."""
         self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
         if self.stand is not None:
             self.stand.restart(self.stand.GetMyMutableContextFromRoot(root))
@@ -84,24 +85,24 @@ class Stage:
 class TrialResult:
     """Result of one trial; times in simulated s. Tasks add fields."""
 
-    # Name of the task, and of its case: what is handled.
+    # Name of the task, and of its case, the object.
     task: str
     object: str
     seed: int
     success: bool
-    # From 0 to 1.
+    # Degree of success from 0 to 1.
     score: float
-    # "success", or why not.
+    # "success", or the reason for failure.
     outcome: str
     # The simulated operator's last phase, for example approach or close; None in a replay.
     operator_phase: str | None
-    # Time from the start to success; None without.
+    # Time from the start to success; None without success.
     completion_time: float | None
     # Whether the first attempt succeeded, and the number of attempts; None in a replay.
     first_attempt: bool | None
     attempts: int | None
     simulated_time: float
-    # Fraction of the time in which two links of the hand touched each other, see `SceneView`.
+    # Fraction of the time during which two links of the hand touched each other, see `SceneView`.
     self_contact: float
     peak_force: float
     wall_time: float
@@ -112,16 +113,16 @@ class TrialResult:
 
 
 class Task(abc.ABC, Generic[Intended]):
-    """A task. A module `tasks/NAME/task.py` defines `TASK`, an instance.
+    """Base class of tasks. Each module `tasks/NAME/task.py` defines an instance named `TASK`.
 
     Attributes:
-        name: of the folder.
+        name: name of the task and its folder.
         summary: one line for --help.
-        kinds: of people who can be simulated at it; the first is the default.
+        kinds: kinds of simulated people for the task; the first is the default.
         result: type of a trial's result.
         scenario: file and name of its scenario.
-        begins_after_play: whether people learn the map in free play, and so continue with the map that they
-            played with; otherwise a universal map first sees them in the trial.
+        begins_after_play: whether people learn the map in free play before the trial and keep the map that
+            they played with; otherwise a universal map first sees them in the trial.
     """
 
     name: str
@@ -132,19 +133,19 @@ class Task(abc.ABC, Generic[Intended]):
     begins_after_play: bool = True
 
     def cases(self) -> list[str]:
-        """What can be handled; a trial is about one of them. By default the task itself."""
+        """Returns the cases of the task, one per trial, such as objects; by default the task itself."""
         return [self.name]
 
     def choose(self, scenario: Scenario, case: str) -> None:
         """Sets the case in a scenario; raises UnknownNameError if there is none of that name."""
 
     def case_of(self, scenario: Scenario) -> str:
-        """The case of a scenario."""
+        """Returns the case of a scenario."""
         return self.name
 
     @abc.abstractmethod
     def plans(self, scenario: Scenario, description: HandDescription) -> list[Intended]:
-        """Ways to do it with the scenario's robot, the best first; raises ScenarioError if there is none."""
+        """Returns plans for the scenario's robot, best first; raises ScenarioError if there are none."""
 
     @abc.abstractmethod
     def add_stage(
@@ -156,20 +157,20 @@ class Task(abc.ABC, Generic[Intended]):
         X_WB: RigidTransform,
         rng: np.random.Generator,
     ) -> Stage:
-        """Adds plant and monitor.
+        """Adds plant and monitor to a diagram.
 
         Args:
-            goal: None in a replay.
-            X_WB: of the hand at the start.
+            goal: the person's goal; None in a replay.
+            X_WB: initial pose of the hand.
             rng: draws everything that depends on the seed.
 
         Raises:
-            ScenarioError, HandError: the scenario and the models do not fit.
+            ScenarioError, HandError: the scenario and the models do not fit together.
         """
 
     @abc.abstractmethod
     def person(self, scenario: Scenario, hand: HumanHand, goal: Intended, rng: np.random.Generator) -> Person:
-        """A person, whom a `SimulatedOperator` shows what `Stage.shown` has.
+        """Returns a person who perceives the ports of `Stage.shown`.
 
         Args:
             goal: mirrored for a left robot hand.
@@ -178,7 +179,7 @@ class Task(abc.ABC, Generic[Intended]):
 
     @abc.abstractmethod
     def result_fields(self, outcome: Any, description: HandDescription) -> dict[str, Any]:
-        """`outcome` as text, and the fields that `result` adds to `TrialResult`."""
+        """Returns `outcome` as text, and the fields that `result` adds to `TrialResult`."""
 
     def check_settings(self, settings: Mapping[str, float]) -> None:
         """Raises ValueError for a wrong entry of the scenario's `task_settings`."""

@@ -1,4 +1,4 @@
-"""Runs one trial from start to outcome."""
+"""Simulates one trial from start to outcome."""
 
 import os
 import time
@@ -32,8 +32,8 @@ def run_trial(
     """Simulates one trial until it succeeds, fails or times out.
 
     Args:
-        scenario, retarget, human, rerun_path, properties: as for `make_trial_diagram`.
-        report: called with the simulated time, s, every 0.25 simulated s.
+        scenario, retarget, human, rerun_path, properties: see `make_trial_diagram`.
+        report: called with the simulated time, s, every 0.25 s of it.
 
     Returns:
         The result, and the glove and tracker data of the trial for `GloveReplay`.

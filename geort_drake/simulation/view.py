@@ -1,4 +1,4 @@
-"""What the person sees and feels of a scene, and the monitors judge."""
+"""Adds the systems that observe and judge a scene, and selects what the person perceives."""
 
 from collections.abc import Iterable, Sequence
 
@@ -21,7 +21,7 @@ def add_view(
     body: RigidBody,
     parts: Sequence[RigidBody] = (),
 ) -> SceneView:
-    """Adds the system that observes a body, and the contacts of the fingers with it and its parts."""
+    """Adds the system that observes a body and the hand's contacts with it and its parts."""
     plant, inspector = scene.plant, scene.scene_graph.model_inspector()
     view = builder.AddNamedSystem(
         "scene_view",
@@ -33,7 +33,7 @@ def add_view(
 
 
 def add_monitor(builder: DiagramBuilder, name: str, monitor: TaskMonitor, view: SceneView) -> None:
-    """Adds a monitor, and connects its inputs that the view outputs."""
+    """Adds a monitor and connects its inputs to the view's outputs of the same names."""
     builder.AddNamedSystem(name, monitor)
     for port in map(monitor.get_input_port, range(monitor.num_input_ports())):
         if view.HasOutputPort(port.get_name()):
@@ -41,7 +41,7 @@ def add_monitor(builder: DiagramBuilder, name: str, monitor: TaskMonitor, view: 
 
 
 def shown_by(view: SceneView, monitor: TaskMonitor, names: Iterable[str]) -> dict[str, PerceivedPort]:
-    """Output ports of the view or else of the monitor, with their signs in a mirror."""
+    """Returns output ports of the view, or else of the monitor, with the signs that mirror them."""
     mirrors = {
         "fingertips": np.tile(POINT_MIRROR, view.GetOutputPort("fingertips").size() // 3),
         **dict.fromkeys(("hand_pose", "object_pose", "target_pose", "place_pose"), POSE_MIRROR),

@@ -45,7 +45,7 @@ class Scene:
     """A finalized plant with a robot.
 
     Attributes:
-        arm, hand: models whose joints are driven by the plant's position controllers.
+        arm, hand: models whose joints the plant's PD controllers drive.
     """
 
     plant: MultibodyPlant
@@ -54,10 +54,10 @@ class Scene:
     hand: ModelInstanceIndex
 
     def initialize(self, root: Context) -> None:
-        """Sets what only a context can hold."""
+        """Sets values that only a context can hold."""
 
     def lock_arm(self, root: Context) -> None:
-        """Keeps the arm where it is in a context."""
+        """Locks the arm's joints at their positions in a context."""
         context = self.plant.GetMyMutableContextFromRoot(root)
         for index in self.plant.GetJointIndices(self.arm):
             self.plant.get_joint(index).Lock(context)
@@ -68,7 +68,7 @@ class ObjectScene(Scene):
     """A scene with an object.
 
     Attributes:
-        placement: of the object; `initialize` applies the mass factor.
+        placement: pose and factors of the object; `initialize` applies the mass factor.
     """
 
     object_body: RigidBody
@@ -92,10 +92,10 @@ def add_scene(
 ) -> ObjectScene:
     """Adds the plant of a scenario with its object to a diagram; `rng` draws the placement.
 
-    `add_fixtures` adds what the directives lack.
+    `add_fixtures` adds geometry that the directives lack.
 
     Raises:
-        ScenarioError, HandError: the scenario and the models do not fit.
+        ScenarioError, HandError: the scenario and the models do not fit together.
     """
     plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
     add_robot(plant, scenario, description)
@@ -120,7 +120,7 @@ def finish_scene(
 ) -> Scene:
     """Finalizes a plant with the scenario's robot; gravity acts on the model `falling` only.
 
-    A real arm's controller compensates it for arm and hand, and everything else is fixed.
+    A real arm's controller compensates gravity for arm and hand, and everything else is fixed.
 
     Raises:
         HandError: an actuator of arm or hand has no PD gains.
@@ -142,7 +142,7 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
     Raises:
         ScenarioError: a directive fails, the model `arm` or the frame `hand_parent` is missing, or an arm
             posture names an unknown joint.
-        HandError: the hand's model cannot be loaded, lacks masses or the frame of the mount.
+        HandError: the hand's model cannot be loaded, or lacks masses or the mount's frame.
     """
     parser = Parser(plant)
     parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
@@ -184,7 +184,7 @@ def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random
     dx, dy = rng.uniform(-config.position_range, config.position_range, 2)
     yaw = config.yaw + rng.uniform(-config.yaw_range, config.yaw_range)
     mass = config.mass_factor * (1 + rng.uniform(-config.mass_range, config.mass_range))
-    # Friction has its own generator, so that later draws do not depend on it.
+    # A separate generator for friction, so that later draws do not depend on it.
     friction = config.friction_factor * (
         1 + rng.spawn(1)[0].uniform(-config.friction_range, config.friction_range)
     )
@@ -194,24 +194,24 @@ def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random
 def standing_pose(
     scenario: Scenario, lowest_at_identity: float, dx: float = 0.0, dy: float = 0.0, yaw: float = 0.0
 ) -> RigidTransform:
-    """X_WO of the object on its support, moved (m) and turned (rad) from the scenario's position."""
+    """Returns X_WO of the object on its support, displaced by dx, dy (m) and turned by yaw (rad)."""
     x, y = scenario.object.position
     z = scenario.object.support_height - lowest_at_identity
     return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + dy, z])
 
 
 def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Joint]:
-    """Joints of a model of a finalized plant that have an actuator, in actuator order."""
+    """Returns the actuated joints of a model in a finalized plant, in actuator order."""
     return [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
 
 
 def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelInstanceIndex) -> OutputPort:
-    """A port with positions, then velocities of a model's actuated joints, in actuator order."""
+    """Returns a port with positions, then velocities of a model's actuated joints, in actuator order."""
     return joint_state(builder, plant, actuated_joints(plant, model))
 
 
 def joint_state(builder: DiagramBuilder, plant: MultibodyPlant, joints: Sequence[Joint]) -> OutputPort:
-    """A port with positions, then velocities of some joints of one model of a finalized plant."""
+    """Returns a port with positions, then velocities of some joints of one model in a finalized plant."""
     state = plant.get_state_output_port(joints[0].model_instance())
     if state.size() == 2 * len(joints):
         return state
@@ -270,7 +270,7 @@ def _scale_friction(plant: MultibodyPlant, scene_graph: SceneGraph, body: RigidB
 def _soften_fingertips(
     plant: MultibodyPlant, scene_graph: SceneGraph, description: HandDescription, body: RigidBody, E: float
 ) -> None:
-    """Gives fingertips a compliant hydroelastic shape of modulus E (Pa), and a body rigid ones."""
+    """Makes fingertips compliant hydroelastic with modulus E (Pa), and the body rigid hydroelastic."""
     inspector, hand = scene_graph.model_inspector(), plant.GetModelInstanceByName(HAND)
     tips = [
         geometry

@@ -1,4 +1,4 @@
-"""Measurement faults of a worn glove and tracker: misalignment, a shift, and gaps."""
+"""Measurement faults of a worn glove and tracker: misalignment, shift, and gaps."""
 
 import bisect
 import dataclasses as dc
@@ -18,8 +18,8 @@ class WornGloveConfig:
 
     # Angle between the tracker's frame and the world's, about a random axis, rad.
     misalignment: float = 0.0
-    # The glove sits differently than in training: standard deviations of the shift, m, along each axis of
-    # the wrist, and of the rotation, rad, about it, of all keypoints.
+    # Standard deviations of a shift of all keypoints along each axis of the wrist, m, and of their rotation
+    # about it, rad, for a glove that sits differently than in training.
     shift: float = 0.0
     turn: float = 0.0
     # Gaps in which the hand is lost: mean number per second, and duration, s.
@@ -44,7 +44,7 @@ class WornGlove(LeafSystem):
         wrist_pose (abstract RigidTransform): X_WH.
         valid (1): 1 tracked, 0 lost.
     Output ports:
-        keypoints (63): rotated and shifted; the wrist stays at the origin.
+        keypoints (63): p_HK rotated and shifted; the wrist stays at the origin.
         wrist_pose (abstract RigidTransform): X_TH, in the misaligned frame T of the tracker.
         valid (1): 0 also during a gap.
 

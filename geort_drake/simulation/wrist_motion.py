@@ -1,4 +1,4 @@
-"""Minimum-jerk movements of a wrist or hand from one rest to the next."""
+"""Minimum-jerk movements of a wrist or hand from rest to rest."""
 
 import dataclasses as dc
 import functools
@@ -33,7 +33,7 @@ class WristMovement:
         config: "OperatorConfig",
         rng: np.random.Generator,
     ) -> "WristMovement":
-        """A person's movement from X_WH by shift (m) and turn in W, with motor noise, which starts at t."""
+        """Plans a movement from X_WH by shift (m) and turn in W, with motor noise, that starts at t (s)."""
         error = rng.normal(0, config.motor_noise / np.sqrt(3), 3) * np.linalg.norm(shift)
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
         duration = max(
@@ -49,7 +49,7 @@ class WristMovement:
         return self.t_start + self.duration
 
     def pose(self, t: float) -> RigidTransform:
-        """Returns the pose at time t: on a straight line, rotated about a fixed axis."""
+        """Returns the pose at time t, s, on a straight line and rotated about a fixed axis."""
         s = minimum_jerk((t - self.t_start) / self.duration)
         p = self.X_start.translation() + s * (self.X_end.translation() - self.X_start.translation())
         return RigidTransform(self.X_start.rotation() @ rotation_of_vector(self._rotation_vector * s), p)

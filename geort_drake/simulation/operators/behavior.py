@@ -1,8 +1,8 @@
-"""Behaviour of a person who grasps through a robot: reach, approach, close, squeeze, lift, and retry.
+"""Behaviour of a person who grasps with a robot: reach, approach, close, squeeze, lift, and retry.
 
-The person sees the robot's fingertips, its hand and the object, with delay and noise, and moves a hand.
+The person sees the robot's fingertips, its hand and the object, with delay and noise, and moves their hand.
 Fingers are corrected continuously, in proportion to the seen error. The wrist makes minimum-jerk movements
-and waits to see the result. Nothing here knows the retargeting map.
+and waits to see the result. The person does not know the retargeting map.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ from geort_drake.systems.port_values import vector_to_pose
 
 
 class GraspingPerson:
-    """Decides from the seen scene how their fingers and wrist move next.
+    """Decides from the seen scene how the person's fingers and wrist move next.
 
     Args:
         hand: the person's hand.
@@ -39,13 +39,13 @@ class GraspingPerson:
         self._goal = goal
         self._config = config
         self._rng = rng
-        # Own finger for each robot finger; the other own fingers follow their neighbour.
+        # The person's finger for each robot finger; their other fingers follow their neighbour.
         self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
         self._followers = [i for i in range(5) if i not in self._own]
-        self._posture = np.zeros(0), np.zeros((5, 3))  # the last one, and its fingertips
+        self._posture = np.zeros(0), np.zeros((5, 3))  # the last one and its fingertips
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
-        """The state before the first decision: a relaxed hand at X_WH."""
+        """Returns the state before the first decision: a relaxed hand at X_WH."""
         theta = self._motion.rest
         steps = round(self._config.visual_delay / self._config.period)
         p_HF = self._hand.fingertips(theta)
@@ -58,7 +58,7 @@ class GraspingPerson:
         )
 
     def seen(self, values: Mapping[str, np.ndarray]) -> Seen:
-        """The scene of the values of ports; without `place_pose`, the object has no place."""
+        """Returns the scene from the values of ports; without `place_pose`, the object has no place."""
         poses = {name: vector_to_pose(value) for name, value in values.items() if name.endswith("_pose")}
         return Seen(
             p_WF=values["fingertips"].reshape(-1, 3),
@@ -69,7 +69,7 @@ class GraspingPerson:
         )
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
-        """The state after one decision at time t, s; does not change `state`."""
+        """Returns the state after one decision at time t, s; does not change `state`."""
         if state.theta is not self._posture[0]:  # a hand that holds something keeps its posture
             self._posture = state.theta, self._hand.fingertips(state.theta)
         past = (*state.p_HF_past[1:], self._posture[1])
@@ -96,24 +96,24 @@ class GraspingPerson:
 
     def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
         config, goal = self._config, self._goal
-        # After several movements the arm can bring the hand no nearer.
-        there = self._wrist_rests(state, t) and (
+        # After several movements, the arm is taken to be unable to bring the hand nearer.
+        wrist_arrived = self._wrist_rests(state, t) and (
             state.movements >= config.max_corrections or self._at(state, seen)
         )
         touching = (seen.contact > config.touch_force)[goal.touches]
         if state.phase in (Phase.REACH, Phase.RELEASE):
-            # Fingers at their limit may be off by the clearance.
+            # Fingers at their limit may miss by up to the clearance.
             near = goal.clearance if self._fingers_at_limit(state, t) else 0.0
-            if there and self._worst_error(state) < max(config.shape_tolerance, near):
+            if wrist_arrived and self._worst_error(state) < max(config.shape_tolerance, near):
                 self._enter(state, Phase.APPROACH, t)
         elif state.phase == Phase.APPROACH:
-            if there:
+            if wrist_arrived:
                 self._enter(state, Phase.SURROUND, t)
         elif state.phase == Phase.SURROUND:
             if self._wrist_rests(state, t) and self._shaped(state, t, seen, config.aperture_tolerance):
                 self._enter(state, Phase.CLOSE, t)
         elif state.phase == Phase.CLOSE:
-            # Without touch, fingers that have stopped are taken to touch.
+            # A person without touch takes fingers that have stopped to be touching.
             stopped = not config.touch and self._fingers_at_limit(state, t)
             if touching.all() or (stopped and self._hand_shift(state, seen) is None):
                 self._enter(state, Phase.SQUEEZE, t)
@@ -154,10 +154,9 @@ class GraspingPerson:
         return t - state.best_time > self._config.patience
 
     def _hand_shift(self, state: OperatorState, seen: Seen) -> np.ndarray | None:
-        """Shift of the hand, (3,) m in W, that compensates for errors out of the fingers' reach; None if
-        small.
+        """Returns a shift of the hand, (3,) m in W, for errors out of the fingers' reach; None if small.
 
-        It is the middle of the fingertips' errors, which minimises the largest error.
+        It is the midrange of the fingertips' errors, which minimises the largest error.
         """
         error = state.shape_error
         assert error is not None  # set at the start of every decision
@@ -179,7 +178,7 @@ class GraspingPerson:
     # -- fingers
 
     def _fingertip_errors(self, state: OperatorState, seen: Seen) -> np.ndarray:
-        """Vectors from the seen robot fingertips to their targets, (F, 3) m in B."""
+        """Returns vectors from the seen robot fingertips to their targets, (F, 3) m in B."""
         target = self._goal.p_BF_open.copy()
         if state.phase in (Phase.SURROUND, Phase.CLOSE):
             X_BO = seen.X_BW @ self._goal.object_frame(seen.X_WO)
@@ -195,7 +194,7 @@ class GraspingPerson:
         return error
 
     def _move_fingers(self, state: OperatorState, t: float, seen: Seen, error: np.ndarray) -> None:
-        """Corrects errors (F, 3), m, of the robot's fingertips in B."""
+        """Moves the person's fingers to reduce `error` (F, 3), m, of the robot's fingertips in B."""
         config = self._config
         if state.phase in (Phase.SQUEEZE, Phase.LIFT, Phase.HOLD, Phase.CARRY, Phase.LOWER):
             self._squeeze(state, t)
@@ -218,23 +217,23 @@ class GraspingPerson:
         state.theta = self._motion.follow(state.theta, p_HF + config.period * noisy)
 
     def _expected(self, state: OperatorState, own: np.ndarray) -> np.ndarray:
-        """The robot's motion (F, 3), m, that is expected of an own one; here the same."""
+        """Returns the robot motion (F, 3), m, expected for `own` finger motion; here the same."""
         return own
 
     def _wanted_velocity(self, state: OperatorState, error: np.ndarray, limit: np.ndarray) -> np.ndarray:
-        """Velocities (F, 3), m/s, of the own fingertips for the robot's errors (F, 3), m."""
+        """Returns velocities (F, 3), m/s, of own fingertips that reduce the robot's errors (F, 3), m."""
         return self._config.correction_rate * error
 
     def _inwards(self, state: OperatorState, share: float) -> np.ndarray:
-        """Motion (F, 3), m, of the own fingertips after a share of a squeeze by the sensed gain.
+        """Returns the motion (F, 3), m, of own fingertips after `share` of a squeeze, by the sensed gain.
 
-        The axes of H and B are taken as the same directions.
+        The axes of H and B are assumed to be parallel.
         """
         assert state.n_BF is not None  # set when the squeeze begins
         return self._config.squeeze / state.sensed.ratio * share * state.n_BF
 
     def _squeeze(self, state: OperatorState, t: float) -> None:
-        """Moves the touching fingertips inwards."""
+        """Moves the grasping fingertips inwards in the phase SQUEEZE; otherwise keeps the posture."""
         config, goal = self._config, self._goal
         state.finger_velocity = np.zeros((5, 3))
         if state.phase != Phase.SQUEEZE:
@@ -246,7 +245,7 @@ class GraspingPerson:
         state.theta = self._motion.follow(state.theta, state.p_HF_start + inwards)
 
     def _closing_fraction(self, error: np.ndarray, seen: Seen) -> np.ndarray:
-        """(F,) fraction of the closing speed: touching fingers stop, leading ones wait."""
+        """Returns fractions (F,) of the closing speed: touching fingers stop, leading ones wait."""
         config, touches = self._config, self._goal.touches
         distance = np.linalg.norm(error, axis=1)
         touching = seen.contact > config.touch_force
@@ -284,14 +283,14 @@ class GraspingPerson:
             if shift is not None:
                 state.movement = WristMovement.planned(state.X_WH, *shift, t, self._config, self._rng)
                 state.movements += 1
-        # Two periods later the last pose has been applied, and the wrist stays there.
+        # Two periods after its end, the last pose has been applied, and the wrist stays wrist_arrived.
         if state.movement is not None and t < state.movement.t_end + 2 * self._config.period:
             state.X_WH = state.movement.pose(t)
 
     def _wrist_shift(
         self, state: OperatorState, t: float, seen: Seen
     ) -> tuple[np.ndarray, RotationMatrix] | None:
-        """Translation (m) and rotation in W of the next movement; None to stay."""
+        """Returns translation (m) and rotation in W of the next movement; None to stay."""
         if state.phase == Phase.LIFT:
             raised = state.movement is not None
             return None if raised else (np.array([0, 0, self._config.lift_height]), RotationMatrix())

@@ -10,7 +10,7 @@ from geort_drake.simulation.operators.holding import HolderState, HoldingPerson
 from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
-_TURNED = np.deg2rad(1.0)  # a cap that has turned so far is seen to turn
+_VISIBLE_TURN = np.deg2rad(1.0)  # smallest turn of the cap that is seen as progress
 
 
 class CapPhase(enum.IntEnum):
@@ -28,8 +28,8 @@ class CapPhase(enum.IntEnum):
 class TurnerState(HolderState):
     """Memory of a person who unscrews a cap; `depth` is inwards from its surface."""
 
-    squeezed: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))  # depth when the hand began to open
-    turn: float = 0.0  # intended place in the stroke, rad
+    squeezed: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))  # depth when opening began
+    turn: float = 0.0  # intended position in the stroke, rad
     # Largest turn seen in this stroke, rad, and when it last grew, s.
     farthest: float = 0.0
     progress_at: float = 0.0
@@ -38,8 +38,8 @@ class TurnerState(HolderState):
 class CapTurner(HoldingPerson[TurnerState]):
     """Closes the fingers around a cap, squeezes, turns, opens and returns, again and again.
 
-    Perceives by how much the cap is `turned` (1), rad, besides the `contact`. A stroke ends when the cap is
-    not seen to turn any more. Touch, not sight, tells how deep a squeeze is, and how to undo it.
+    The person perceives the cap's turn `turned` (1), rad, besides `contact`. A stroke ends when the cap is
+    seen to turn no further. Squeezing and opening are not corrected by sight.
     """
 
     phases, state, begins_open = CapPhase, TurnerState, True
@@ -56,10 +56,10 @@ class CapTurner(HoldingPerson[TurnerState]):
                 state.farthest, state.progress_at = -np.inf, t
         elif state.phase == CapPhase.TURN:
             turned = np.sign(self._goal.stroke) * scene.percepts["turned"][0]
-            if turned > state.farthest + _TURNED:
+            if turned > state.farthest + _VISIBLE_TURN:
                 state.farthest, state.progress_at = turned, t
-            is_made = since > self._stroke_time + config.visual_delay
-            if is_made and t - state.progress_at > config.patience:
+            stroke_over = since > self._stroke_time + config.visual_delay
+            if stroke_over and t - state.progress_at > config.patience:
                 self._enter(state, CapPhase.OPEN, t)
                 state.squeezed = state.depth
         elif state.phase == CapPhase.OPEN:
@@ -84,8 +84,8 @@ class CapTurner(HoldingPerson[TurnerState]):
     def _corrected(self, state: TurnerState) -> list[int]:
         if state.phase in (CapPhase.SQUEEZE, CapPhase.OPEN):
             return []
-        still = state.touching if state.phase == CapPhase.CLOSE else frozenset()
-        return [finger for finger in super()._corrected(state) if finger not in still]
+        excluded = state.touching if state.phase == CapPhase.CLOSE else frozenset()
+        return [finger for finger in super()._corrected(state) if finger not in excluded]
 
     def _reference(self, state: TurnerState, t: float, scene: SeenFingers) -> np.ndarray:
         goal, config, since = self._goal, self._config, t - state.phase_start
@@ -106,14 +106,14 @@ class CapTurner(HoldingPerson[TurnerState]):
     def _error(self, state: TurnerState, p_BF: np.ndarray, scene: SeenFingers) -> np.ndarray:
         error = super()._error(state, p_BF, scene)
         if state.phase == CapPhase.TURN:
-            # The surface is in the way of a squeeze: only the way around the axis and along it is seen.
-            out = (p_BF - self._goal.p_BC) * [0.0, 1.0, 1.0]
-            out /= np.linalg.norm(out, axis=1, keepdims=True)
-            error -= np.sum(error * out, axis=1, keepdims=True) * out
+            # The surface stops the squeezing fingertips, so errors normal to it are ignored.
+            normal = (p_BF - self._goal.p_BC) * [0.0, 1.0, 1.0]
+            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            error -= np.sum(error * normal, axis=1, keepdims=True) * normal
         return error
 
     def _own_movement(self, state: TurnerState, t: float, change: np.ndarray) -> np.ndarray:
-        """Of the intended motion as learned; each kind squeezes and opens so."""
+        """Returns the learned motion for the intended one; SERVO uses it only to squeeze and open."""
         step = np.zeros((5, 3))
         if self._kind == SERVO and state.phase not in (CapPhase.SQUEEZE, CapPhase.OPEN):
             return step

@@ -4,7 +4,7 @@ import dataclasses as dc
 
 from geort_drake.settings import require_numbers
 
-# Parameters that are divisors.
+# Parameters by which code divides, so zero is refused.
 _DIVISORS = (
     "period",
     "peak_wrist_speed",
@@ -17,7 +17,7 @@ _DIVISORS = (
 
 @dc.dataclass
 class OperatorConfig:
-    """A person who teleoperates. One set of values serves every method, object and hand.
+    """Parameters of a person who teleoperates; one set of values serves every method, object and hand.
 
     Sources: [S05] Saunders and Knill 2005, visual correction of reaching; [F65] Ferrell 1965, remote
     manipulation with delay; [FH85] Flash and Hogan 1985, minimum jerk; [HW98] Harris and Wolpert 1998,
@@ -38,8 +38,8 @@ class OperatorConfig:
     # Standard deviation of the seen rotation of hand and object about each axis, rad: `visual_noise` at a
     # radius of 0.1 m.
     visual_turn_noise: float = 0.02
-    # Time constant of these errors, s, a first-order autoregressive process; 0: white noise. An assumption:
-    # people do not average the errors away.
+    # Time constant of these errors, a first-order autoregressive process, s; 0 for white noise. Assumed, so
+    # that people do not average the errors away.
     visual_noise_time: float = 1.0
     # Whether contact forces are felt. If not, closing ends when the fingers are seen to stop.
     touch: bool = True
@@ -68,14 +68,14 @@ class OperatorConfig:
     # Pause after a wrist movement and the visual delay before the result is judged, s: with delay, people
     # move and wait [F65]. Vision is averaged over about this time.
     judging_time: float = 0.09
-    # After this many movements the person takes the hand to be as near its target as the arm can bring it.
+    # After this many movements, the person assumes that the arm cannot bring the hand nearer to its target.
     max_corrections: int = 4
     # Tolerances of the hand's position, m, its rotation, rad, and the fingertips, m.
     reach_tolerance: float = 0.008
     turn_tolerance: float = 0.08
     shape_tolerance: float = 0.010
     # If the fingertips' error has not fallen for `patience`, s, the fingers are at their limit. The hand then
-    # shifts by the middle of their errors, if that is larger than this, m.
+    # shifts by the midrange of their errors, if that is larger than `shift_tolerance`, m.
     patience: float = 0.5
     shift_tolerance: float = 0.003
     # Distance of the fingertips from the object's surface before closing, and its tolerance, m.

@@ -4,8 +4,8 @@ import numpy as np
 
 from geort_drake.people.human_hand import HumanHand
 
-# Bend of the outer joint over that of the joint before it: two thirds in fingers (textbook; 0.4 to 0.85 in
-# recorded play), one in the thumb (recorded play).
+# Bend of the outermost joint relative to that of the joint before it: two thirds in fingers (textbook; 0.4 to
+# 0.85 in recorded play), one in the thumb (recorded play).
 _COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
 # A straight finger is singular: no small motion of its joints shortens it.
 _MIN_BEND = np.deg2rad(8.0)
@@ -14,7 +14,7 @@ _DAMPING = (2e-3) ** 2 * np.eye(3)
 
 
 def limited(velocity: np.ndarray, limit: np.ndarray | float) -> np.ndarray:
-    """Velocities (n, 3), none faster than `limit`, a number or (n, 1)."""
+    """Returns velocities (n, 3) scaled down to at most `limit`, a number or (n, 1); same units."""
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     return velocity * np.minimum(1.0, limit / np.maximum(speed, 1e-9))
 
@@ -43,7 +43,7 @@ class FingerMotion:
         return self._angles(0.5 * (self._lower + self._upper))
 
     def follow(self, theta: np.ndarray, p_HF: np.ndarray, iterations: int = 2) -> np.ndarray:
-        """Joint angles (20,) near `theta` that bring the fingertips to p_HF (5, 3), m, or near it.
+        """Returns joint angles (20,) near `theta`, rad, that bring the fingertips to or near p_HF (5, 3), m.
 
         Takes damped Gauss–Newton steps. A coordinate at its limit stays there; the others continue.
         """
@@ -60,12 +60,12 @@ class FingerMotion:
         return self._angles(x)
 
     def _step(self, x: np.ndarray, J: np.ndarray, error: np.ndarray) -> np.ndarray:
-        """Coordinates (5, 3) after a damped step that reduces `error` (5, 3, 1)."""
+        """Returns coordinates (5, 3) after a damped step that reduces `error` (5, 3, 1), m."""
         Jt = J.swapaxes(1, 2)
         return x + (Jt @ np.linalg.solve(J @ Jt + _DAMPING, error))[..., 0]
 
     def _tips_and_jacobians(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fingertips (5, 3), m, in the fingers' base frames, and their derivatives (5, 3, 3) by x (5, 3).
+        """Returns fingertips (5, 3), m, in the fingers' base frames, and Jacobians (5, 3, 3) by x (5, 3).
 
         The formulas are those of `HumanHand`, in fewer and smaller operations.
         """

@@ -1,7 +1,8 @@
-"""A person who moves the robot's fingers; the intention is a motion of the own fingers.
+"""Base class of a person who moves the robot's fingers by moving their own.
 
-The person sees the robot's fingertips and what the task shows, with delay and noise, and moves the own
-fingers. The hand stays where it is. Nothing here knows the retargeting map. Tasks give the reference motion.
+The person sees the robot's fingertips and what the task shows, with delay and noise, and moves their own
+fingers. The wrist stays in place. The person does not know the retargeting map. Tasks give the reference
+motion.
 """
 
 import abc
@@ -38,22 +39,22 @@ State = TypeVar("State", bound=FingerState)
 class SeenFingers:
     """The scene as the person sees it."""
 
-    p_BF: np.ndarray  # (F, 3) robot fingertip points in the hand base, m
+    p_BF: np.ndarray  # (F, 3) robot fingertips in the frame of the hand's base, m
     X_WB: RigidTransform
     percepts: Mapping[str, np.ndarray]  # name → value of an input port of the person
 
 
 class FingerPerson(abc.ABC, Generic[State]):
-    """Decides how a person's fingers move next.
+    """Decides from the seen scene how a person's fingers move next.
 
     Attributes:
-        phases: what the person can be doing; the first is the movement to where the task begins.
-        state: type of the memory.
-        begins_open: whether the fingers are straight at first, as bent ones would be in the way.
+        phases: phases of the person's behaviour; the first is the movement to the task's open posture.
+        state: type of the person's memory.
+        begins_open: whether the fingers are straight at first, because bent ones would collide.
 
     Args:
         hand: the person's hand.
-        goal: has `finger_names`, `touches`, `p_BF_open` and `play`, as `KeysGoal`.
+        goal: a `Goal` with `p_BF_open`, such as `KeysGoal`.
         kind: SERVO, MIMICRY or ADAPTIVE.
         config, intention: the person's parameters.
         rng: draws the noise of perception and motion.
@@ -79,42 +80,42 @@ class FingerPerson(abc.ABC, Generic[State]):
         self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
         self._used = np.flatnonzero(goal.touches)
         used = self._own[self._used]
-        # The own fingers beyond the thumb that do nothing follow their neighbour.
+        # The person's unused fingers, except the thumb, follow their neighbour.
         self._followers = [i for i in range(1, 5) if i not in used]
         self._rate = config.correction_rate if kind != MIMICRY else intention.mimicry_rate
 
     @abc.abstractmethod
     def _advance_phase(self, state: State, t: float, scene: SeenFingers) -> None:
-        """Changes phase, phase_start and finger."""
+        """Updates `phase`, `phase_start` and `finger` of `state`."""
 
     @abc.abstractmethod
     def _reference(self, state: State, t: float, scene: SeenFingers) -> np.ndarray:
-        """Where the robot's fingertips are meant to be now, (F, 3) m in B."""
+        """Returns the intended positions of the robot's fingertips at t, s, (F, 3) m in B."""
 
     @abc.abstractmethod
     def _watched(self, state: State) -> np.ndarray:
-        """The fingers that are looked at by turns."""
+        """Returns the robot fingers that the person looks at in turn."""
 
     @abc.abstractmethod
     def _is_free(self, state: State, scene: SeenFingers, finger: int) -> bool:
-        """Whether a finger is seen to touch nothing, so that its motion tells about the map."""
+        """Whether a finger touches nothing, so that the person can learn from its motion."""
 
     @abc.abstractmethod
     def _own_movement(self, state: State, t: float, change: np.ndarray) -> np.ndarray:
-        """Step (5, 3), m, that is not a correction; `change` (F, 3), m, as for `_move`."""
+        """Returns the step (5, 3), m, that is not a correction; for `change` (F, 3), m, see `_move`."""
 
     def _corrected(self, state: State) -> list[int]:
-        """The fingers whose seen errors are corrected."""
+        """Returns the fingers whose seen errors are corrected."""
         return self._used.tolist() if self._kind == SERVO else [state.attended]
 
     def _error(self, state: State, p_BF: np.ndarray, scene: SeenFingers) -> np.ndarray:
-        """Seen errors of the robot's fingertips, (F, 3) m in B."""
-        # Forward model: since the seen scene, the robot's fingers moved as learned.
+        """Returns the seen errors of the robot's fingertips, (F, 3) m in B."""
+        # Forward model: the learned motion of the robot's fingers since the seen scene.
         done = (state.p_HF_past[-1] - state.p_HF_past[0])[self._own]
         return state.reference - p_BF - (state.learned.J @ done[..., None])[..., 0]
 
     def start(self, X_WH: RigidTransform) -> State:
-        """The state before the first decision: a hand at X_WH that does not move."""
+        """Returns the state before the first decision: a hand at X_WH that does not move."""
         theta = np.clip(self._first_posture(), self._hand.lower, self._hand.upper)
         p_HF = self._hand.fingertips(theta)
         steps = round(self._config.visual_delay / self._config.period)
@@ -153,7 +154,7 @@ class FingerPerson(abc.ABC, Generic[State]):
         )
 
     def _first_posture(self) -> np.ndarray:
-        """(20,) joint angles of a relaxed or open hand, its thumb straight and aside, rad."""
+        """Returns joint angles (20,), rad, of a relaxed or open hand with its thumb straight and abducted."""
         theta = self._motion.rest.reshape(5, 4)
         theta[0] = self._hand.upper[0], self._hand.lower[1], 0.0, 0.0
         if self.begins_open:
@@ -161,12 +162,12 @@ class FingerPerson(abc.ABC, Generic[State]):
         return theta.ravel()
 
     def seen(self, values: Mapping[str, np.ndarray]) -> SeenFingers:
-        """The scene of the values of ports: fingertips, hand pose, and what the task shows or lets feel."""
+        """Returns the scene from the values of ports: fingertips, hand pose, and percepts of the task."""
         X_WB, p_WF = vector_to_pose(values["hand_pose"]), values["fingertips"].reshape(-1, 3)
         return SeenFingers(X_WB.inverse().multiply(p_WF.T).T, X_WB, values)
 
     def step(self, state: State, t: float, scene: SeenFingers) -> State:
-        """The state after one decision at time t, s; does not change `state`."""
+        """Returns the state after one decision at time t, s; does not change `state`."""
         past = (*state.p_HF_past[1:], self._hand.fingertips(state.theta))
         state = dc.replace(state, p_HF_past=past, sight=state.sight.later(self._config, self._rng))
         p_BF = scene.p_BF + state.sight.p[:-1] @ scene.X_WB.rotation().matrix()
@@ -186,7 +187,7 @@ class FingerPerson(abc.ABC, Generic[State]):
         state.motor = np.eye(3) + self._rng.normal(0, noise, (3, 3))
 
     def _attend(self, state: State, t: float) -> None:
-        """Looks at the watched finger that was not looked at for longest."""
+        """Looks at the watched finger that has not been looked at for the longest time."""
         state.looked = state.looked.copy()
         state.looked[state.attended] = t
         if t - state.attended_since < self._intention.attention_time:
@@ -197,7 +198,7 @@ class FingerPerson(abc.ABC, Generic[State]):
             state.attended, state.attended_since, state.compared = next_finger, t, None
 
     def _compare(self, state: State, t: float, scene: SeenFingers, p_BF: np.ndarray) -> None:
-        """Learns from the motion of the finger that is looked at, while it is free."""
+        """Learns from the motion of the attended finger while it is free."""
         config, finger = self._intention, state.attended
         own, robot = state.p_HF_past[0][self._own[finger]], p_BF[finger]
         if not self._is_free(state, scene, finger):
@@ -217,7 +218,7 @@ class FingerPerson(abc.ABC, Generic[State]):
             state.compared, state.compared_at = (own, robot), t
 
     def _move(self, state: State, t: float, p_BF: np.ndarray, scene: SeenFingers, change: np.ndarray) -> None:
-        """Moves the own fingers; `change` (F, 3), m, is that of the reference since the last decision."""
+        """Moves the own fingers; `change` (F, 3), m, is the reference's change since the last decision."""
         if state.phase == 0 and t - state.phase_start <= state.settle_time:
             step = self._settling_step(state, t)
         else:
@@ -228,7 +229,7 @@ class FingerPerson(abc.ABC, Generic[State]):
         state.theta = self._motion.follow(state.theta, state.p_HF_past[-1] + step)
 
     def _correction(self, state: State, error: np.ndarray) -> np.ndarray:
-        """Step (5, 3), m, in proportion to seen errors."""
+        """Returns a step (5, 3), m, of the own fingers in proportion to the seen errors (F, 3), m."""
         config = self._config
         velocity = np.zeros((5, 3))
         for finger in self._corrected(state):
@@ -240,21 +241,21 @@ class FingerPerson(abc.ABC, Generic[State]):
         return config.period * state.finger_velocity * (1 + noise)
 
     def _intended(self, state: State, finger: int, change: np.ndarray) -> np.ndarray:
-        """Own step (3,), m, that is expected to move a robot fingertip by `change` (3,), m."""
+        """Returns the own step (3,), m, expected to move a robot fingertip by `change` (3,), m."""
         return state.motor @ state.learned.own_motion(finger, change)
 
     def _return(self, state: State, t: float) -> np.ndarray:
-        """Own step (3,), m, of a release to where the press began."""
+        """Returns the own step (3,), m, of a release, back to where the press began."""
         assert state.p_HF_press is not None and state.p_HF_release is not None  # set by the press
         own = self._own[state.finger]
         back = state.motor @ (state.p_HF_press - state.p_HF_release)[own]
         return self._progress(t - state.phase_start, self._intention.press_time) * back
 
     def _settling_step(self, state: State, t: float) -> np.ndarray:
-        """Step (5, 3), m, of the first movement, from the relaxed hand to where the task begins."""
-        way = state.p_HF_open - state.p_HF_rest
-        return self._progress(t - state.phase_start, state.settle_time) * way
+        """Returns the step (5, 3), m, of the first movement, from the relaxed to the open hand."""
+        displacement = state.p_HF_open - state.p_HF_rest
+        return self._progress(t - state.phase_start, state.settle_time) * displacement
 
     def _progress(self, since: float, duration: float) -> float:
-        """Share of a minimum-jerk movement that is made in one period, after this time, s."""
+        """Returns the share of a minimum-jerk movement done in the period that ends `since` its start, s."""
         return minimum_jerk(since / duration) - minimum_jerk((since - self._config.period) / duration)

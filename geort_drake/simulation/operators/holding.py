@@ -8,8 +8,8 @@ import numpy as np
 from geort_drake.simulation.operators.finger_person import FingerPerson, SeenFingers
 from geort_drake.simulation.operators.finger_state import FingerState
 
-# The first phases of every such person: moves the fingers to their open places; closes them until what they
-# hold is felt; squeezes; waits for a cue.
+# The first phases of every such person: move the fingers to their open positions; close them until the person
+# feels the object; squeeze; wait for a cue.
 SETTLE, CLOSE, SQUEEZE, WAIT = range(4)
 
 
@@ -17,18 +17,18 @@ SETTLE, CLOSE, SQUEEZE, WAIT = range(4)
 class HolderState(FingerState):
     """Memory of a person who holds something."""
 
-    # (F,) motion of each fingertip from its open place towards what it holds, m.
+    # (F,) motion of each fingertip from its open position towards the object, m.
     depth: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
-    touching: frozenset[int] = frozenset()  # fingers that hold
+    touching: frozenset[int] = frozenset()  # fingers that count as touching
 
 
 State = TypeVar("State", bound=HolderState)
 
 
 class HoldingPerson(FingerPerson[State]):
-    """Closes fingers, and squeezes; perceives the `contact` (F), N.
+    """A person who closes the fingers and squeezes; perceives `contact` (F), N.
 
-    Fingers that hold stay as they are once they have squeezed. The goal has `p_BF_touch`.
+    Holding fingers keep their posture once they have squeezed. The goal has `p_BF_touch`.
     """
 
     @property
@@ -53,17 +53,17 @@ class HoldingPerson(FingerPerson[State]):
             self._enter(state, self.phases(WAIT), t)
 
     def _is_shaped(self, state: State, t: float, scene: SeenFingers) -> bool:
-        """Whether the settled fingers are near enough to their open places; until then they are corrected."""
+        """Whether the settled fingers are near enough to their open positions; if not, they are corrected."""
         return True
 
     @property
     def _longest_closing(self) -> float:
-        """Time, s, after which the fingers have moved by `overshoot` beyond the surface."""
+        """Time after which the closing fingers are seen to have moved `overshoot` beyond the surface, s."""
         gap = np.linalg.norm(self._goal.p_BF_touch - self._goal.p_BF_open, axis=1)[self._holding].max()
         return (gap + self._config.overshoot) / self._config.closing_speed + self._config.visual_delay
 
     def _felt(self, scene: SeenFingers) -> np.ndarray:
-        """Forces on the fingers, (F,) N."""
+        """Returns the felt forces on the fingers, (F,) N."""
         noise = 1 + self._rng.normal(0, self._config.contact_noise, len(self._own))
         return self._config.touch * noise * scene.percepts["contact"]
 
@@ -71,15 +71,15 @@ class HoldingPerson(FingerPerson[State]):
         return finger not in state.touching and scene.percepts["contact"][finger] < self._config.touch_force
 
     def _close(self, state: State) -> None:
-        """Brings the fingers that do not touch yet nearer for one period."""
+        """Moves the fingers that do not touch yet towards the object, for one period."""
         closing = [finger for finger in self._holding if finger not in state.touching]
         state.depth = state.depth.copy()
         state.depth[closing] += self._config.closing_speed * self._config.period
 
     def _grip(self, state: State, t: float) -> np.ndarray:
-        """Where the fingertips are meant to be for the grip alone, (F, 3) m in B.
+        """Returns the intended positions of the fingertips for the grip alone, (F, 3) m in B.
 
-        The goal has `n_B`, the direction away from what is held, (3,) or (F, 3).
+        The goal has `n_B`, the direction away from the object, (3,) or (F, 3).
         """
         config = self._config
         if state.phase == CLOSE:

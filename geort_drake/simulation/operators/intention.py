@@ -9,15 +9,15 @@ from geort_drake.settings import require_numbers
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import FreePlay
 
-# How a person moves a fingertip of the robot. SERVO corrects all seen errors, as if robot and own fingers had
-# the same directions. MIMICRY makes the motion with the own finger and corrects little. ADAPTIVE makes the
-# motion that it has learned to make the robot's, and corrects. The last two look at one finger at a time.
+# How a person moves a robot fingertip. SERVO corrects all seen errors, as if the robot moved like the own
+# fingers. MIMICRY makes the intended motion with the own finger and corrects little. ADAPTIVE makes the own
+# motion that it has learned to cause the intended one, and corrects. The last two look at one finger at once.
 SERVO, MIMICRY, ADAPTIVE = "servo", "mimicry", "adaptive"
 
 
 @dc.dataclass
 class IntentionConfig:
-    """A person with an intention, besides `OperatorConfig`.
+    """Parameters, besides `OperatorConfig`, of a person who makes intended motions.
 
     Sources: [F54] Fitts 1954, time of aimed movements; [H52] Hick 1952, time to choose; [R98] Rayner 1998,
     fixations; [K00] Krakauer et al. 2000, adaptation to rotated and scaled motion; [B02] as in
@@ -30,26 +30,26 @@ class IntentionConfig:
     choice_time: float = 0.3
     # Shortest time between two changes of the finger that is looked at, s; fixations take 0.2 to 0.3 s [R98].
     attention_time: float = 0.25
-    # Correction of a mimic, 1/s: a fifth of the servo's. An assumption.
+    # Correction rate of MIMICRY, 1/s: a fifth of SERVO's. An assumption.
     mimicry_rate: float = 0.5
-    # Standard deviation of each entry of the Jacobian that an adaptive person expects around one before free
-    # play, and that it drifts by in a second. Rotations of 30° and gains of 1.5 are learned [K00].
+    # Standard deviation of each entry of the Jacobian around the identity that ADAPTIVE expects before free
+    # play, and of its drift in a second. Rotations of 30° and gains of 1.5 are learned [K00].
     jacobian_spread: float = 0.5
     jacobian_drift: float = 0.02
-    # Time between two comparisons of own and robot's motion, s, and the least own motion compared, m.
+    # Time between two comparisons of own and robot motion, s, and the least own motion compared, m.
     # Assumptions; the time is that of a fixation.
     comparison_time: float = 0.25
     least_motion: float = 0.005
-    # Free play teaches the motion within this distance of the own posture, m. An assumption.
+    # ADAPTIVE learns from free play within this distance of the own fingertip, m. An assumption.
     neighbourhood: float = 0.04
-    # A finger whose key is not seen to go down is pushed further at this speed, m/s, at most so far, m.
-    # Assumptions.
+    # A finger whose key is not seen to go down is pushed further, at `push_speed`, m/s, by at most
+    # `most_push`, m. Assumptions.
     push_speed: float = 0.02
     most_push: float = 0.02
     # A finger that is seen to press without a cue is raised by this, m. An assumption.
     lift: float = 0.004
-    # An object is carried to within this distance of the point above its place, m, and lowered to this far
-    # below the seen place, m, so that it is felt to stand. Both are about the error of vision [B02].
+    # An object is carried to within `place_tolerance`, m, of the point above its place, and lowered to
+    # `place_overshoot`, m, below the seen place, to be set down. Both are about the error of vision [B02].
     place_tolerance: float = 0.003
     place_overshoot: float = 0.005
 
@@ -62,11 +62,11 @@ class IntentionConfig:
 class LearnedMotion:
     """A person's estimate of robot fingertip motion per own fingertip motion, finger by finger.
 
-    A Kalman filter of the Jacobian's rows, which share a covariance. It begins at one.
+    A Kalman filter estimates the rows of each Jacobian, which share a covariance, from the identity on.
 
     Attributes:
-        J: (F, 3, 3) robot's motion in B per own motion in H.
-        P: (F, 3, 3) covariance of each row.
+        J: (F, 3, 3) Jacobians: robot motion in B per own motion in H.
+        P: (F, 3, 3) covariance of each row of a Jacobian.
     """
 
     J: np.ndarray
@@ -74,14 +74,14 @@ class LearnedMotion:
 
     @classmethod
     def unlearned(cls, num_fingers: int, config: IntentionConfig) -> "LearnedMotion":
-        """Robot and own fingers move alike."""
+        """Returns the initial estimate, that robot and own fingers move alike."""
         one = np.tile(np.eye(3), (num_fingers, 1, 1))
         return cls(one, config.jacobian_spread**2 * one)
 
     def compared(
         self, finger: int, own: np.ndarray, robot: np.ndarray, noise: float, elapsed: float, drift: float
     ) -> "LearnedMotion":
-        """The estimate after a comparison of own and robot's motion (3,), m.
+        """Returns the estimate after a comparison of own and robot motion (3,), m.
 
         Args:
             noise: standard deviation of the seen motion, m.
@@ -96,16 +96,16 @@ class LearnedMotion:
         return LearnedMotion(J, P)
 
     def own_motion(self, finger: int, robot: np.ndarray) -> np.ndarray:
-        """The own motion (3,), m, that is expected to move the robot's fingertip by `robot`, m.
+        """Returns the own motion (3,), m, expected to move the robot's fingertip by `robot` (3,), m.
 
-        In directions in which the robot hardly moves, a third of the own motion is assumed.
+        The robot is assumed to move at least a third as far as the own finger in every direction.
         """
         U, s, Vt = np.linalg.svd(self.J[finger])
         return Vt.T @ ((U.T @ robot) / np.maximum(s, 1 / 3))
 
 
 def motion_noise(config: OperatorConfig, elapsed: float) -> float:
-    """Standard deviation of an axis of a motion that is seen over some time, s, in m."""
+    """Returns the standard deviation of a seen motion along an axis, m, over `elapsed` time, s."""
     variance = (2 * config.visual_noise**2 + config.visual_depth_noise**2) / 3
     kept = math.exp(-elapsed / config.visual_noise_time) if config.visual_noise_time else 0.0
     return math.sqrt(max(2 * variance * (1 - kept), 1e-8))
@@ -118,7 +118,7 @@ def learned_in_play(
     operator: OperatorConfig,
     rng: np.random.Generator,
 ) -> LearnedMotion:
-    """What free play teaches about motion near own fingertips p_HF (F, 3), m."""
+    """Returns what the person learns from free play near own fingertips p_HF (F, 3), m."""
     step = max(1, round(config.comparison_time / play.period))
     noise = motion_noise(operator, config.comparison_time)
     own, robot = play.p_HF[::step], play.p_BF[::step]

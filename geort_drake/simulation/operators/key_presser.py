@@ -10,9 +10,9 @@ from geort_drake.simulation.operators.finger_state import FingerState
 from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
-_DOWN = 0.0035  # m; a key that has gone down so far is seen to be down
-_MOVED = 0.0005  # m; a key that has moved so far is seen to move
-_PRESS = np.array([1.0, 0.0, 0.0])  # direction in B
+_DOWN = 0.0035  # m; travel beyond which a key is seen to be down
+_MOVED = 0.0005  # m; travel beyond which a key is seen to move
+_PRESS = np.array([1.0, 0.0, 0.0])  # direction of a press in B
 
 
 class KeyPhase(enum.IntEnum):
@@ -29,16 +29,16 @@ class KeyPhase(enum.IntEnum):
 class PresserState(FingerState):
     """Memory of a person who presses keys."""
 
-    handled_cue: int = 0  # the cue that was last acted on; 0 once it has gone
-    # (F,) by how much each finger's place is raised, m.
+    handled_cue: int = 0  # last cue that was acted on; 0 once no cue is shown
+    # (F,) height by which each fingertip is raised above its open position, m.
     raised: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
 
 
-_ACTS = (KeyPhase.CHOOSE, KeyPhase.PRESS, KeyPhase.RELEASE)
+_ACTIVE = (KeyPhase.CHOOSE, KeyPhase.PRESS, KeyPhase.RELEASE)
 
 
 class KeyPresser(FingerPerson[PresserState]):
-    """Presses the cued key; perceives the `travel` (K,) of the keys, m, and the `cue`, see `KeysMonitor`."""
+    """Presses the cued key; perceives `travel` (K,) of the keys, m, and `cue`, see `KeysMonitor`."""
 
     phases, state = KeyPhase, PresserState
 
@@ -66,20 +66,19 @@ class KeyPresser(FingerPerson[PresserState]):
             self._enter(state, KeyPhase.WAIT, t)
 
     def _watched(self, state: PresserState) -> np.ndarray:
-        return np.array([state.finger]) if state.phase in _ACTS else self._used
+        return np.array([state.finger]) if state.phase in _ACTIVE else self._used
 
     def _is_free(self, state: PresserState, scene: SeenFingers, finger: int) -> bool:
         return scene.percepts["travel"][self._goal.key_of[finger]] <= _MOVED
 
     def _corrected(self, state: PresserState) -> list[int]:
-        # A finger that is released goes back to where it was.
-        back = state.finger if self._kind != SERVO and state.phase == KeyPhase.RELEASE else -1
-        return [finger for finger in super()._corrected(state) if finger != back]
+        # A releasing finger moves back to where it began, without correction.
+        released = state.finger if self._kind != SERVO and state.phase == KeyPhase.RELEASE else -1
+        return [finger for finger in super()._corrected(state) if finger != released]
 
     def _reference(self, state: PresserState, t: float, scene: SeenFingers) -> np.ndarray:
-        """Where the robot's fingertips are meant to be now, (F, 3) m in B."""
         goal, config, since = self._goal, self._intention, t - state.phase_start
-        # A key that goes down without a cue shows a finger that is too low.
+        # A finger whose key goes down without a cue is too low.
         idle = np.array([f for f in self._used if f != state.finger or state.phase == KeyPhase.WAIT])
         low = [f for f in idle if scene.percepts["travel"][goal.key_of[f]] > _MOVED]
         state.raised = state.raised.copy() if len(state.raised) else np.zeros(len(self._own))
@@ -88,18 +87,18 @@ class KeyPresser(FingerPerson[PresserState]):
             state.raised[finger] = min(state.raised[finger] + step, 3 * config.lift)
         reference = goal.p_BF_open - np.outer(state.raised, _PRESS)
         if state.phase in (KeyPhase.PRESS, KeyPhase.RELEASE):
-            way = (goal.p_BF_pressed - goal.p_BF_open)[state.finger]
+            displacement = (goal.p_BF_pressed - goal.p_BF_open)[state.finger]
             share = minimum_jerk(since / config.press_time)
             if state.phase == KeyPhase.RELEASE:
                 share = 1 - share
-            late = max(since - config.press_time - self._config.visual_delay, 0.0)
-            further = min(config.push_speed * late, config.most_push)
+            overdue = max(since - config.press_time - self._config.visual_delay, 0.0)
+            further = min(config.push_speed * overdue, config.most_push)
             push = further if state.phase == KeyPhase.PRESS else 0.0
-            reference[state.finger] += share * way + push * _PRESS
+            reference[state.finger] += share * displacement + push * _PRESS
         return reference
 
     def _own_movement(self, state: PresserState, t: float, change: np.ndarray) -> np.ndarray:
-        """Of the intended motion: a press as learned, a release to where it began."""
+        """Returns the learned motion for a press, or the way back of a release; nothing for SERVO."""
         step = np.zeros((5, 3))
         if self._kind == SERVO:
             return step

@@ -19,7 +19,7 @@ GAZE_W = np.array([0.8, 0.0, -0.6])
 class Seen:
     """The scene as the person sees it."""
 
-    p_WF: np.ndarray  # (F, 3) robot fingertip points, m
+    p_WF: np.ndarray  # (F, 3) robot fingertips, m
     X_WB: RigidTransform  # robot hand base
     X_WO: RigidTransform  # object
     contact: np.ndarray  # (F,) force between each robot finger and the object, N
@@ -32,44 +32,44 @@ class Seen:
 
     @functools.cached_property
     def p_BF(self) -> np.ndarray:
-        """(F, 3) robot fingertip points in the hand base, m."""
+        """(F, 3) robot fingertips in the frame of the hand's base, m."""
         return self.X_BW.multiply(self.p_WF.T).T
 
 
 class FreePlay(NamedTuple):
-    """What the person saw before the task: fingertips (T, F, 3), m, finger by finger of the robot."""
+    """Free play that the person saw before the task: fingertips (T, F, 3), m, of each robot finger."""
 
-    p_HF: np.ndarray  # own, in H
-    p_BF: np.ndarray  # robot's, in B
-    period: float = 1 / 30  # s, between two frames
+    p_HF: np.ndarray  # own fingertips in H
+    p_BF: np.ndarray  # robot fingertips in B
+    period: float = 1 / 30  # s between two frames
 
 
 @dc.dataclass(frozen=True)
 class VisualError:
     """Present errors of vision."""
 
-    p: np.ndarray  # (F + 1, 3) of fingertips and hand relative to the object, in W, m
-    turn: np.ndarray  # (2, 3) rotation vectors of object and hand, rad
+    p: np.ndarray  # (F + 1, 3) position errors of fingertips and hand relative to the object, in W, m
+    turn: np.ndarray  # (2, 3) rotation errors of object and hand as rotation vectors, rad
 
     @classmethod
     def draw(cls, num_fingers: int, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
-        """Independent errors of the configured sizes."""
+        """Returns independent errors of the configured sizes."""
         n = rng.normal(size=(num_fingers + 1, 3))
         across, along = config.visual_noise, config.visual_depth_noise
         p = across * n + (along - across) * (n.dot(GAZE_W)[:, None] * GAZE_W)
         return cls(p, rng.normal(0, config.visual_turn_noise, (2, 3)))
 
     def later(self, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
-        """The errors one period later."""
+        """Returns the errors one period later."""
         kept = math.exp(-config.period / config.visual_noise_time) if config.visual_noise_time else 0.0
         new, weight = VisualError.draw(len(self.p) - 1, config, rng), math.sqrt(1 - kept**2)
         return VisualError(kept * self.p + weight * new.p, kept * self.turn + weight * new.turn)
 
 
 def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.random.Generator) -> Seen:
-    """The scene with errors of vision, and with noise on forces that is new at each call.
+    """Returns the scene with errors of vision, and with new noise on forces at each call.
 
-    Only positions relative to the object matter, so that of the object has no error.
+    Only positions relative to the object matter, so the object's own position has no error.
     """
     X_WB, X_WO, (turn_O, turn_B) = scene.X_WB, scene.X_WO, map(rotation_of_vector, error.turn)
     factor = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
@@ -84,9 +84,9 @@ def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.ra
 
 
 def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:
-    """Low-pass over about `judging_time`, because single samples are noisier than the tolerances.
+    """Returns the low-passed value over about `judging_time`; single samples are noisier than the tolerances.
 
-    `before` is the average one period ago, None at the first sample.
+    `before` is the average one period ago; None at the first sample.
     """
     if before is None:
         return now
@@ -102,7 +102,7 @@ class SensedGain:
     `interval` apart. It starts at one.
     """
 
-    # At the last sample: time, s; own (F, 3) and robot's (F, 3) fingertips in their hands' frames, m.
+    # At the last sample: time, s; own and robot fingertips (F, 3) in their hands' frames, m.
     t: float = -np.inf
     own: np.ndarray | None = None
     robot: np.ndarray | None = None
@@ -114,18 +114,18 @@ class SensedGain:
 
     @property
     def ratio(self) -> float:
-        """Robot motion over own motion."""
+        """Robot motion per own motion."""
         return self.product / self.square
 
     def update(self, t: float, own: np.ndarray, robot: np.ndarray, free: np.ndarray) -> "SensedGain":
-        """The estimate after a sample at time t, s; fingers in contact are not `free` (F,)."""
+        """Returns the estimate after a sample at time t, s; only `free` (F,) fingers count."""
         if t - self.t < self.interval:
             return self
         if self.own is None or self.robot is None:
             return dc.replace(self, t=t, own=own, robot=robot)
         own_step = np.linalg.norm(own - self.own, axis=1)
         robot_step = np.linalg.norm(robot - self.robot, axis=1)
-        # Smaller motions are lost in the noise.
+        # Noise hides smaller motions.
         use = free & (own_step > 0.005)
         return SensedGain(
             t,

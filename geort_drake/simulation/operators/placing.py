@@ -1,8 +1,8 @@
 """A person who grasps an object and brings it to a place: carry, lower, open, retreat, and retry.
 
-The intention is the motion of the object: the own hand moves as if it held the object itself, and the robot
-hand is assumed to move alike. A person who is no servo makes each motion of the fingers, open, around the
-object, onto it and inwards, with the own fingers, and corrects the pinch. Nothing here knows the map.
+The person intends a motion of the object and moves their hand as if it held the object; they assume that
+the robot hand moves alike. MIMICRY and ADAPTIVE also make each motion of the fingers (open, surround, close,
+squeeze) with their own fingers, and correct the pinch. The person does not know the retargeting map.
 """
 
 import dataclasses as dc
@@ -35,7 +35,7 @@ class PlacingPerson(GraspingPerson):
     The object's tilt is left to gravity: only its position and its yaw are corrected.
 
     Args:
-        hand, goal, config, rng: as of `GraspingPerson`.
+        hand, goal, config, rng: see `GraspingPerson`.
         kind: SERVO, MIMICRY or ADAPTIVE.
         hover: height above its place from which the object is lowered, m.
     """
@@ -53,7 +53,7 @@ class PlacingPerson(GraspingPerson):
         super().__init__(hand, goal, config, rng)
         intention.validate()
         self._kind, self._intention, self._hover = kind, intention, hover
-        # Its own generator, so that the errors of the place do not change the others.
+        # A separate generator, so that the errors of the place do not change other random numbers.
         self._place_rng = rng.spawn(1)[0]
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
@@ -67,7 +67,7 @@ class PlacingPerson(GraspingPerson):
         return dc.replace(super().start(X_WH), place_error=error, learned=learned)
 
     def step(self, state: OperatorState, t: float, scene: Seen) -> OperatorState:
-        assert state.place_error is not None and scene.X_WP is not None  # since the start
+        assert state.place_error is not None and scene.X_WP is not None  # set at the start
         error = state.place_error.later(self._config, self._place_rng)
         X_WP = RigidTransform(
             rotation_of_vector(error.turn[0]) @ scene.X_WP.rotation(), scene.X_WP.translation() + error.p[0]
@@ -75,18 +75,18 @@ class PlacingPerson(GraspingPerson):
         return super().step(dc.replace(state, place_error=error), t, dc.replace(scene, X_WP=X_WP))
 
     def _expected(self, state: OperatorState, own: np.ndarray) -> np.ndarray:
-        assert state.learned is not None  # since the start
+        assert state.learned is not None  # set at the start
         return np.einsum("fij,fj->fi", state.learned.J, own)
 
     def _own_motion(self, state: OperatorState, robot: np.ndarray) -> np.ndarray:
-        """Own motion (F, 3) that is expected to move the robot's fingertips by `robot` (F, 3), m."""
-        assert state.learned is not None  # since the start
+        """Returns the own motion (F, 3), m, expected to move the robot's fingertips by `robot` (F, 3), m."""
+        assert state.learned is not None  # set at the start
         return np.array([state.learned.own_motion(f, motion) for f, motion in enumerate(robot)])
 
     def _wanted_velocity(self, state: OperatorState, error: np.ndarray, limit: np.ndarray) -> np.ndarray:
         if self._kind == SERVO:
             return super()._wanted_velocity(state, error, limit)
-        if state.intended is None:  # a new phase: the seen error, but a release goes back to where it began
+        if state.intended is None:  # a new phase: corrects the seen error; a release moves back to its start
             state.intended = error
             if state.phase in (Phase.OPEN, Phase.RELEASE):
                 assert state.p_HF_open is not None  # set before the fingers close
@@ -111,23 +111,24 @@ class PlacingPerson(GraspingPerson):
 
     def _advance_phase(self, state: OperatorState, t: float, seen: Seen) -> None:
         rests = self._wrist_rests(state, t)
-        there = rests and (state.movements >= self._config.max_corrections or self._at(state, seen))
+        wrist_arrived = rests and (state.movements >= self._config.max_corrections or self._at(state, seen))
         if state.phase in (Phase.CARRY, Phase.LOWER) and self._has_slipped(state):
             self._enter(state, Phase.RELEASE, t)
             state.attempt += 1
         elif state.phase == Phase.CARRY:
-            if there:
+            if wrist_arrived:
                 self._enter(state, Phase.LOWER, t)
         elif state.phase == Phase.LOWER:
-            # An object that did not come down stands beside its place.
+            # An object that is still above its place stands on something else.
             if rests and state.movement is not None:
-                down = self._way(seen).translation()[2] > -self._config.reach_tolerance
+                down = self._to_place(seen).translation()[2] > -self._config.reach_tolerance
                 self._enter(state, Phase.OPEN if down else Phase.CARRY, t)
         elif state.phase == Phase.OPEN:
             if self._worst_error(state) < self._config.shape_tolerance or self._fingers_at_limit(state, t):
                 self._enter(state, Phase.RETREAT, t)
         elif state.phase == Phase.RETREAT:
-            if there and np.linalg.norm(self._way(seen).translation()) > 2 * self._config.reach_tolerance:
+            distance = np.linalg.norm(self._to_place(seen).translation())
+            if wrist_arrived and distance > 2 * self._config.reach_tolerance:
                 self._enter(state, Phase.REACH, t)
                 state.attempt += 1
         else:
@@ -135,8 +136,8 @@ class PlacingPerson(GraspingPerson):
             if state.phase == Phase.HOLD:
                 self._enter(state, Phase.CARRY, t)
 
-    def _way(self, seen: Seen) -> RigidTransform:
-        """The seen motion of the object to its place: yaw about the object's origin, translation in W."""
+    def _to_place(self, seen: Seen) -> RigidTransform:
+        """Returns the seen motion from object to place: yaw about the object's origin, translation in W."""
         assert seen.X_WP is not None  # see `step`
         yaw = _yaw(seen.X_WP) - _yaw(seen.X_WO)
         symmetry = self._goal.yaw_symmetry
@@ -148,10 +149,10 @@ class PlacingPerson(GraspingPerson):
     def _target_hand_pose(self, state: OperatorState, seen: Seen) -> RigidTransform:
         if state.phase != Phase.CARRY:
             return super()._target_hand_pose(state, seen)
-        way = self._way(seen)
+        motion = self._to_place(seen)
         p_OB_W = seen.X_WB.translation() - seen.X_WO.translation()
-        above = seen.X_WO.translation() + way.translation() + [0, 0, self._hover]
-        return RigidTransform(way.rotation() @ seen.X_WB.rotation(), above + way.rotation() @ p_OB_W)
+        above = seen.X_WO.translation() + motion.translation() + [0, 0, self._hover]
+        return RigidTransform(motion.rotation() @ seen.X_WB.rotation(), above + motion.rotation() @ p_OB_W)
 
     def _reach_tolerance(self, state: OperatorState) -> float:
         carrying = state.phase == Phase.CARRY
@@ -163,7 +164,7 @@ class PlacingPerson(GraspingPerson):
         if state.phase == Phase.OPEN or (state.phase == Phase.LOWER and state.movement is not None):
             return None
         if state.phase == Phase.LOWER:
-            down = min(self._way(seen).translation()[2], 0.0) - self._intention.place_overshoot
+            down = min(self._to_place(seen).translation()[2], 0.0) - self._intention.place_overshoot
             return np.array([0.0, 0.0, down]), RotationMatrix()
         return super()._wrist_shift(state, t, seen)
 

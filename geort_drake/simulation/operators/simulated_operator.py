@@ -1,4 +1,4 @@
-"""The simulated person as a system that replaces a glove and a tracker."""
+"""A system that replaces glove and tracker by a simulated person."""
 
 import enum
 from collections.abc import Callable, Mapping
@@ -14,20 +14,20 @@ from geort_drake.simulation.operators.config import OperatorConfig
 
 
 class Person(Protocol):
-    """Who decides; `start` and `step` return states with `theta`, `X_WH`, `phase` and `attempt`."""
+    """A simulated person; `start` and `step` return states with `theta`, `X_WH`, `phase` and `attempt`."""
 
     @property
     def phases(self) -> type[enum.IntEnum]:
-        """What the person can be doing."""
+        """Phases of the person's behaviour."""
 
     def start(self, X_WH: RigidTransform) -> Any:
-        """The state before the first decision, with the wrist at X_WH."""
+        """Returns the state before the first decision, with the wrist at X_WH."""
 
     def seen(self, values: Mapping[str, np.ndarray]) -> Any:
-        """The scene as the person sees it, of the values of the input ports."""
+        """Returns the scene as the person sees it, from the values of the input ports."""
 
     def step(self, state: Any, t: float, scene: Any) -> Any:
-        """The state after one decision at time t, s; does not change `state`."""
+        """Returns the state after one decision at time t, s; does not change `state`."""
 
 
 class SimulatedOperator(LeafSystem):
@@ -39,9 +39,9 @@ class SimulatedOperator(LeafSystem):
         fingertips (3F): p_WF of the robot, m.
         hand_pose (7): X_WB of the robot's hand base, qw qx qy qz x y z.
         object_pose (7): X_WO, qw qx qy qz x y z.
-        place_pose (7): X_WP, where the object belongs, as the others.
-        contact (F): force between each finger and what is handled, N.
-        others: what the task's monitor tells.
+        place_pose (7): X_WP, where the object belongs, qw qx qy qz x y z.
+        contact (F): force between each finger and the object, N.
+        others: outputs of the task's monitor.
     Output ports:
         keypoints (63): p_HK of the person's hand, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist.
@@ -53,12 +53,12 @@ class SimulatedOperator(LeafSystem):
     state, so a system serves one simulation.
 
     Attributes:
-        phases: enumeration of what the person can be doing.
+        phases: enumeration of the person's phases.
 
     Args:
-        hand: the person's.
-        inputs: name → size of what the person sees and feels.
-        person: makes the person of a generator of noise.
+        hand: the person's hand.
+        inputs: name → size of each input port.
+        person: function from the generator of noise to the person.
     """
 
     def __init__(
@@ -76,13 +76,13 @@ class SimulatedOperator(LeafSystem):
         self._hand = hand
         self._tremor = config.tremor / np.sqrt(3)
         self._tremor_rng = np.random.default_rng(rng.integers(2**63))
-        # The delays' outputs are zero until their first sample has passed.
+        # The delays output zeros until their first sample has passed.
         self._vision_start = config.visual_delay - 0.5 * config.period
         self._inputs = {name: self.DeclareVectorInputPort(name, size) for name, size in inputs.items()}
         self._person = person(rng)
         self.phases, start = self._person.phases, self._person.start(X_WH_start)
         state = self.DeclareAbstractState(AbstractValue.Make(start))
-        # The last posture and its keypoints, as a hand that holds something keeps it.
+        # The last posture and its keypoints, which a holding hand keeps.
         self._posture, self._p_HK = start.theta, hand.keypoints(start.theta)
         # A state, because the tremor is drawn once per decision.
         self._keypoints = self.DeclareDiscreteState(self._p_HK.ravel())

@@ -15,14 +15,14 @@ from geort_drake.systems.port_values import Immutable
 class Phase(enum.IntEnum):
     """What the person is doing."""
 
-    REACH = 0  # moves the hand to a place before the object and opens the fingers
+    REACH = 0  # moves the hand in front of the object and opens the fingers
     APPROACH = 1  # moves the hand around the object
     SURROUND = 2  # moves the fingertips to just before the surface
     CLOSE = 3  # moves them onto the surface
     SQUEEZE = 4
     LIFT = 5
     HOLD = 6
-    RELEASE = 7  # opens and goes back after the object slipped
+    RELEASE = 7  # opens the fingers and moves back after the object slipped
     CARRY = 8  # moves the held object above its place
     LOWER = 9
     OPEN = 10
@@ -38,8 +38,8 @@ class OperatorState(Immutable):
 
     theta: np.ndarray  # (20,) joint angles of the own hand H, rad
     X_WH: RigidTransform
-    # (5, 3) own fingertips in H at the last decisions, m: the oldest is as old as the seen scene, the newest
-    # is at the joint angles before this decision.
+    # (5, 3) own fingertips in H at the last decisions, m; the oldest are as old as the seen scene, the newest
+    # are those before this decision.
     p_HF_past: tuple[np.ndarray, ...]
     sensed: SensedGain
     visual_error: VisualError
@@ -50,7 +50,7 @@ class OperatorState(Immutable):
     # The wrist's present or last movement in this phase, and the number of movements.
     movement: WristMovement | None = None
     movements: int = 0
-    # Averages over time, m: own fingertips in H at the time of the seen scene and robot's in B, (2, F, 3);
+    # Averages over time, m: own fingertips in H, when the seen scene was, and robot's in B, (2, F, 3);
     # errors of the robot's fingertips in B, (F, 3); the object's origin in B, (3,).
     fingertips: np.ndarray | None = None
     shape_error: np.ndarray | None = None
@@ -63,9 +63,9 @@ class OperatorState(Immutable):
     n_BF: np.ndarray | None = None
     # Lift: the object's origin in B at its start.
     p_BO_start: np.ndarray | None = None
-    # Of a person who places: errors of the seen place relative to the object; the learned response of the
-    # robot; what is left of the intended motion of robot fingertips in this phase, (F, 3) m in B; and own
-    # fingertips (5, 3) before they closed, m in H.
+    # For `PlacingPerson` only: errors of the seen place relative to the object; the learned response of the
+    # robot; the remaining intended motion of its fingertips in this phase, (F, 3) m in B; and own fingertips
+    # (5, 3) before they closed, m in H.
     place_error: VisualError | None = None
     learned: LearnedMotion | None = None
     intended: np.ndarray | None = None

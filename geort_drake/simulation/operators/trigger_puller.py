@@ -1,4 +1,4 @@
-"""A person who holds a handle with the robot's fingers and pulls its trigger with another."""
+"""A person who holds a handle with two robot fingers and pulls its trigger with another."""
 
 import dataclasses as dc
 import enum
@@ -10,15 +10,15 @@ from geort_drake.simulation.operators.holding import HolderState, HoldingPerson
 from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
-_MOVED = 0.0005  # m; a pad that has moved so far is seen to move
-_PULL = 1  # the cue
+_MOVED = 0.0005  # m; travel beyond which the pad is seen to move
+_PULL = 1  # value of the cue to pull
 
 
 class TriggerPhase(enum.IntEnum):
     """What the person is doing."""
 
     SETTLE = 0  # moves the fingers to handle and pad
-    CLOSE = 1  # around the handle, until it is felt
+    CLOSE = 1  # closes the fingers around the handle until it is felt
     SQUEEZE = 2
     WAIT = 3
     PULL = 4
@@ -29,15 +29,15 @@ class TriggerPhase(enum.IntEnum):
 class PullerState(HolderState):
     """Memory of a person who pulls a trigger."""
 
-    pushed: float = 0.0  # motion of the finger beyond its place on the pad, m, kept from pull to pull
-    push: float = 0.0  # part of it in the last decision, m
+    pushed: float = 0.0  # motion of the finger beyond touching the pad, m, kept from pull to pull
+    push: float = 0.0  # change of `pushed` in the last decision, m
 
 
 class TriggerPuller(HoldingPerson[PullerState]):
-    """Closes two fingers around a handle, squeezes, and then pulls as cued with the index finger.
+    """Closes two fingers around a handle, squeezes, and pulls with the index finger at each cue.
 
-    Perceives the `travel` (1) of the pad, m, and the `cue`, see `TriggerMonitor`, besides the `contact`. The
-    person reads the pad's travel, and moves the finger at `correction_rate` times the remaining travel.
+    The person perceives `travel` (1) of the pad, m, and `cue`, see `TriggerMonitor`, besides `contact`, and
+    moves the index finger at `correction_rate` times the remaining travel.
     """
 
     phases, state = TriggerPhase, PullerState
@@ -68,9 +68,9 @@ class TriggerPuller(HoldingPerson[PullerState]):
         return np.array(closing or [self._goal.trigger])
 
     def _corrected(self, state: PullerState) -> list[int]:
-        is_back = self._kind != SERVO and state.phase == TriggerPhase.RELEASE
-        still = state.touching | ({self._goal.trigger} if is_back else set())
-        return [finger for finger in super()._corrected(state) if finger not in still]
+        released = self._kind != SERVO and state.phase == TriggerPhase.RELEASE
+        excluded = state.touching | ({self._goal.trigger} if released else set())
+        return [finger for finger in super()._corrected(state) if finger not in excluded]
 
     def _reference(self, state: PullerState, t: float, scene: SeenFingers) -> np.ndarray:
         goal, config, since = self._goal, self._config, t - state.phase_start
@@ -84,19 +84,19 @@ class TriggerPuller(HoldingPerson[PullerState]):
         if state.phase in (TriggerPhase.PULL, TriggerPhase.RELEASE):
             share = minimum_jerk(since / self._intention.press_time)
             share = share if state.phase == TriggerPhase.PULL else 1 - share
-            way = (goal.p_BF_touch - goal.p_BF_open)[goal.trigger]
-            reference[goal.trigger] += share * (way - state.pushed * goal.n_B)
+            displacement = (goal.p_BF_touch - goal.p_BF_open)[goal.trigger]
+            reference[goal.trigger] += share * (displacement - state.pushed * goal.n_B)
         return reference
 
     def _error(self, state: PullerState, p_BF: np.ndarray, scene: SeenFingers) -> np.ndarray:
         error = super()._error(state, p_BF, scene)
         if state.phase == TriggerPhase.PULL and (self._kind != SERVO or scene.percepts["travel"][0] > _MOVED):
-            # How far the finger is on its way is judged by the pad alone.
+            # The pad alone shows how far the finger has pulled, so errors along the pull are ignored.
             error[self._goal.trigger] -= (error[self._goal.trigger] @ self._goal.n_B) * self._goal.n_B
         return error
 
     def _own_movement(self, state: PullerState, t: float, change: np.ndarray) -> np.ndarray:
-        """Closing and pulls as learned, a release to where the pull began; each kind squeezes and pushes."""
+        """Returns learned motions to close and pull, or the way back; SERVO only squeezes and pushes."""
         step = np.zeros((5, 3))
         own, trigger = self._own, self._goal.trigger
         for finger in self._holding:

@@ -1,4 +1,4 @@
-"""The tasks by name: each folder here with a `task.py` that defines `TASK`."""
+"""Finds tasks by name: each folder here whose `task.py` defines `TASK` is one."""
 
 import functools
 import importlib
@@ -18,10 +18,10 @@ def task_names() -> list[str]:
 
 @functools.cache
 def find_task(name: str) -> "Task":
-    """The task of a name.
+    """Returns the task of that name.
 
     Raises:
-        UnknownNameError: there is none; the message lists the known ones.
+        UnknownNameError: there is no such task; the message lists the existing ones.
     """
     if name not in task_names():
         raise UnknownNameError("task", name, task_names())

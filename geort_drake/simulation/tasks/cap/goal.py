@@ -14,34 +14,34 @@ FINGERS = ("thumb", "index", "middle")
 class CapGoal(Goal):
     """A cap between the fingertips of a parked hand.
 
-    Frames: B the hand base; F a fingertip point. The cap's axis is along x of B. Unscrewed, the cap rises
-    along −x.
+    Frames: B the hand base; F a fingertip point. The cap's axis is along x of B. The cap rises along −x when
+    it is unscrewed.
     """
 
-    thumb: int  # its number
+    thumb: int  # index of the thumb
     # (3,) middle of the cap in B, m.
     p_BC: np.ndarray
-    # (F, 3) fingertip points in B that touch the cap when a stroke begins, m.
+    # (F, 3) fingertips in B that touch the cap at the beginning of a stroke, m.
     p_BF_touch: np.ndarray
-    # Turn of the cap in a stroke about −x of B, rad, and distance of open fingertips from it, m.
+    # Turn of the cap in a stroke about −x of B, rad, and distance of open fingertips from the cap, m.
     stroke: float
     gap: float
 
     @property
     def p_BF_open(self) -> np.ndarray:
-        """(F, 3) open fingertips when a stroke begins, m in B."""
+        """(F, 3) open fingertips in B at the beginning of a stroke, m."""
         return self.fingertips(0.0, -self.gap)
 
     def places(self) -> tuple[np.ndarray, np.ndarray]:
         return self.p_BF_open, self.fingertips(self.stroke, -self.gap)
 
     def fingertips(self, turn: float, depth: float | np.ndarray) -> np.ndarray:
-        """(F, 3) fingertip points in B, m, around the cap.
+        """Returns fingertips (F, 3) in B around the cap, m.
 
         Args:
-            turn: from the beginning of a stroke, rad.
-            depth: one or (F,), inwards from the surface, m: the thumb towards the axis, the others against
-                the thumb.
+            turn: turn since the beginning of the stroke, rad.
+            depth: number or (F,), depth below the surface, m: of the thumb towards the axis, of the others
+                towards the thumb.
         """
         p = self.p_BF_touch - self.p_BC
         inwards = -p[self.thumb] / np.linalg.norm(p[self.thumb])

@@ -7,19 +7,19 @@ from pydrake.systems.framework import Context
 
 from geort_drake.simulation.monitor import Outcome, TaskMonitor, TaskSettings
 
-STEPS = 8  # into which a viewer divides the turn
+STEPS = 8  # number of steps into which recordings divide the turn
 
 
 @dc.dataclass(frozen=True)
 class CapSettings(TaskSettings):
-    """What counts as unscrewed."""
+    """The turn that counts as unscrewed."""
 
     turn: float = 360.0  # degrees
 
 
 @dc.dataclass(frozen=True)
 class CapOutcome(Outcome):
-    """How far the cap is turned."""
+    """How far the cap has been turned."""
 
     settings: CapSettings
     turned: float = 0.0  # degrees
@@ -47,7 +47,7 @@ class CapMonitor(TaskMonitor[CapOutcome]):
         joints (2): turn of the cap, rad, and its speed.
     Output ports:
         turned (1): turn of the cap, rad.
-        step (1): how many of STEPS equal parts of the wanted turn are done.
+        step (1): number of completed steps, of STEPS equal ones.
         outcome (abstract CapOutcome).
     """
 

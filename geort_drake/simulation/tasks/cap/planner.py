@@ -9,22 +9,22 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
 from geort_drake.simulation.tasks.cap.goal import FINGERS, HEIGHT, RADIUS, CapGoal
 
-GAP, SQUEEZE = 0.010, 0.020  # m, of fingertips from the cap's surface, and beyond it
-_CLEARANCE = 0.010  # m, by which free play may miss a fingertip's place
-# Places of the cap in B that are tried, m; and angles between index and middle finger around it, rad. In a
-# smaller one, they slip less.
+GAP, SQUEEZE = 0.010, 0.020  # m; distance of open fingertips from the cap, depth of squeezing ones
+_CLEARANCE = 0.010  # m; distance by which free play may miss a fingertip's place
+# Positions of the cap in B to try, m; and angles between index and middle finger around it, rad, the smaller
+# first, because fingers slip less at it.
 _X, _Y, _Z = np.arange(0.06, 0.131, 0.02), np.arange(-0.02, 0.061, 0.02), np.arange(-0.02, 0.081, 0.02)
 _APART = np.deg2rad([60, 70])
 _STEP, _MIN_STROKE = np.deg2rad(10), np.deg2rad(40)
-_LINK_CLEARANCE = 0.002  # m, of finger links from the cap
+_LINK_CLEARANCE = 0.002  # m; least distance of finger links from the cap
 
 
 @dc.dataclass(frozen=True)
 class CapPlan(FingerPlan[CapGoal]):
-    """A place of the cap, with postures (S, n) at S equal steps of a stroke: `q_open` off the cap.
+    """A position of the cap, with postures (S, n) at S equal steps of a stroke: `q_open` off the cap.
 
     Attributes:
-        q_held: squeezing it.
+        q_held: (S, n) postures that squeeze the cap, rad.
     """
 
     q_held: np.ndarray
@@ -38,7 +38,7 @@ class CapPlanner(FingerPlanner[CapPlan]):
 
     def __init__(self, description: HandDescription):
         super().__init__(description)
-        # Points on the cap's surface, from its middle.
+        # Points on the cap's surface, relative to its middle.
         around = np.linspace(0, 2 * np.pi, 12, endpoint=False)
         ring = RADIUS * np.column_stack([np.zeros(12), np.cos(around), np.sin(around)])
         top = np.array([-HEIGHT / 2, 0.0, 0.0])
@@ -82,7 +82,7 @@ class CapPlanner(FingerPlanner[CapPlan]):
         return CapPlan(goal, self.discomfort(first[1]), q_open, q_held)
 
     def _path(self, goal: CapGoal, first: tuple[np.ndarray, np.ndarray], sign: int) -> list[tuple]:
-        """Postures, step by step, as far as the hand reaches."""
+        """Returns postures step by step in one direction, as far as the hand reaches."""
         path: list[tuple] = []
         while (
             len(path) < 18
@@ -93,7 +93,7 @@ class CapPlanner(FingerPlanner[CapPlan]):
         return path
 
     def _postures(self, goal: CapGoal, turn: float, guess: tuple[np.ndarray, np.ndarray]) -> tuple | None:
-        """Open and squeezing joint positions (n,), rad, or None."""
+        """Returns open and squeezing joint positions (n,), rad, or None."""
         q_open = self.reach(goal.fingertips(turn, -GAP)[self.fingers], guess[0])
         q_touch = None if q_open is None else self.reach(goal.fingertips(turn, 0.0)[self.fingers], q_open)
         if q_open is None or q_touch is None:

@@ -25,9 +25,9 @@ from geort_drake.simulation.tasks.cap.goal import HEIGHT, RADIUS, CapGoal
 from geort_drake.simulation.tasks.cap.monitor import STEPS, CapMonitor, CapOutcome, CapSettings
 from geort_drake.simulation.tasks.cap.planner import CapPlanner
 
-_MASS, _PITCH = 0.040, 0.004  # kg; m a turn
-_THREAD_FRICTION = 0.03  # N m, of the thread
-_FRICTION, _VARIATION = 0.8, 0.2  # of the cap; friction and brake vary by this fraction with the seed
+_MASS, _PITCH = 0.040, 0.004  # kg; m per turn
+_THREAD_FRICTION = 0.03  # N m
+_FRICTION, _VARIATION = 0.8, 0.2  # of the cap; fraction by which friction and brake vary with the seed
 _NECK, _NECK_HEIGHT = 0.017, 0.10  # m, radius and height of the bottle's neck
 _COLOR, _RIB_COLOR = np.array([0.95, 0.45, 0.10, 1.0]), np.array([0.75, 0.33, 0.05, 1.0])
 _NECK_COLOR = np.array([0.75, 0.80, 0.85, 1.0])
@@ -35,7 +35,7 @@ _NECK_COLOR = np.array([0.75, 0.80, 0.85, 1.0])
 
 @dc.dataclass(frozen=True)
 class CapResult(TrialResult):
-    """Result of one trial of the cap. `outcome` is "success", or how far it is turned."""
+    """Result of one trial of the cap. `outcome` is "success", or how far the cap was turned."""
 
     turned: float  # degrees
 
@@ -56,7 +56,7 @@ class CapTask(FingerTask[CapGoal]):
     def add_handled(
         self, plant: MultibodyPlant, goal: CapGoal, X_WB: RigidTransform, rng: np.random.Generator
     ) -> Handled:
-        """Adds a cap on the neck of a bottle, which rises against x of B when it is unscrewed.
+        """Adds a cap on the neck of a bottle; the cap rises along −x of B when it is unscrewed.
 
         The cap's frame has z along its axis, upwards.
         """
@@ -89,7 +89,7 @@ class CapTask(FingerTask[CapGoal]):
         for body, shape, color in shapes:
             plant.RegisterCollisionGeometry(body, RigidTransform(), shape, body.name(), friction)
             plant.RegisterVisualGeometry(body, RigidTransform(), shape, body.name(), color)
-        # A mark by which one sees the cap turn.
+        # A mark that makes the turn visible.
         plant.RegisterVisualGeometry(
             cap, RigidTransform([RADIUS / 2, 0, 0]), Box(RADIUS, 0.004, HEIGHT + 0.001), "mark", _RIB_COLOR
         )

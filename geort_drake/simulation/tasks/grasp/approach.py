@@ -15,22 +15,22 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.world import add_object
 from geort_drake.simulation.wrist_motion import WristMovement
 
-# Candidates for the waiting pose: back along the palm's normal, and up, m.
+# Candidates for the waiting pose: distances back along the palm's normal and upwards, m.
 _RETREATS = (0.08, 0.11, 0.14, 0.17)
 _RISES = (0.0, 0.05, 0.10)
-# Clearance between hand and object on the way to the waiting pose, m: the object varies in place, and the
+# Clearance between hand and object on the way to the waiting pose, m: the object's position varies, and the
 # fingers move meanwhile.
 _REACH_CLEARANCE = 0.03
 # Clearance of the fingers from there to the grasp, m, unless the grasp itself leaves less: the hand is open
 # only within a tolerance.
 _APPROACH_CLEARANCE = 0.012
-_SAMPLES = 9  # per movement
-# Distances are measured up to this, m.
+_SAMPLES = 9  # poses per movement at which distances are measured
+# Largest measured distance, m.
 _MAX_DISTANCE = 0.05
 
 
 class GraspApproach:
-    """A hand without its arm, and an object; the object's frame O is the world frame.
+    """Checks approaches of a hand without its arm to an object, whose frame O is the world frame.
 
     Args:
         description: the hand.
@@ -50,8 +50,8 @@ class GraspApproach:
         builder = DiagramBuilder()
         self._plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
         hand = add_hand_model(self._plant, description)
-        thing = add_object(self._plant, object_name)
-        self._plant.WeldFrames(self._plant.world_frame(), thing.body_frame())
+        object_body = add_object(self._plant, object_name)
+        self._plant.WeldFrames(self._plant.world_frame(), object_body.body_frame())
         self._plant.Finalize()
         self._joints = {
             name: self._plant.GetJointByName(name, hand)
@@ -75,11 +75,11 @@ class GraspApproach:
     def waiting_pose(
         self, X_OB: RigidTransform, q_open: dict[str, float]
     ) -> tuple[RigidTransform, float] | None:
-        """X_OB at which the open hand can wait before the grasp at X_OB; None if there is none.
+        """Finds a pose at which the open hand can wait before the grasp at X_OB.
 
-        The second value is the least distance between fingers and object from there to the grasp, m. The
-        straight movements from the start to it and from it to the grasp are free of collisions. `q_open`
-        are the joint positions of the open hand by name, rad.
+        Straight movements from the start to it and from it to the grasp are free of collisions. `q_open` are
+        the joint positions of the open hand by name, rad. Returns X_OB of the waiting hand, and the smallest
+        distance between fingers and object from there to the grasp, m; or None.
         """
         clearance = self._distance(X_OB, X_OB, q_open, fingers_only=True)
         if clearance <= 0:
@@ -101,19 +101,19 @@ class GraspApproach:
         q: dict[str, float],
         fingers_only: bool = False,
     ) -> float:
-        """Least distance between hand and object on a movement, at most `_MAX_DISTANCE`, m."""
+        """Returns the smallest distance between hand and object in a movement, m, at most `_MAX_DISTANCE`."""
         movement = WristMovement(X_OB_from, X_OB_to, 0.0, 1.0)
         for name, joint in self._joints.items():
             joint.set_angle(self._plant_context, q[name])
         # The hand base need not be on the root link.
         X_RootB = self._plant.CalcRelativeTransform(self._plant_context, self._root.body_frame(), self._base)
-        least = _MAX_DISTANCE
+        smallest = _MAX_DISTANCE
         for t in np.linspace(0, 1, _SAMPLES):
             self._plant.SetFloatingBaseBodyPoseInWorldFrame(
                 self._plant_context, self._root, movement.pose(t) @ X_RootB.inverse()
             )
             query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
-            for pair in query.ComputeSignedDistancePairwiseClosestPoints(least):
+            for pair in query.ComputeSignedDistancePairwiseClosestPoints(smallest):
                 if not (fingers_only and {pair.id_A, pair.id_B} & self._palm):
-                    least = min(least, pair.distance)
-        return least
+                    smallest = min(smallest, pair.distance)
+        return smallest

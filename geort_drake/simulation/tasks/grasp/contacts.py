@@ -1,4 +1,4 @@
-"""Contacts of a grip on an object, from its shape alone."""
+"""Places the contacts of a grip on an object, from its shape alone."""
 
 import dataclasses as dc
 import math
@@ -29,9 +29,9 @@ class Grip:
     grasps between fingertips; a power grasp presses the object into the palm.
     """
 
-    # Finger → its angle about the vertical from the grip's axis, rad, and how many fingers it is above the
-    # grip's height. The axis runs from the thumb to the fingers. Angles are a right hand's; a left hand's are
-    # opposite.
+    # Finger → its angle about the vertical from the grip's axis, rad, and its level above the grip's height,
+    # in fingers. The axis runs from the thumb to the fingers. Angles are for a right hand; a left hand's are
+    # negated.
     fingers: dict[str, tuple[float, int]]
     # Whether the object lies in the palm; the palm's normal is then at 90° from the grip's axis.
     palm: bool = False
@@ -54,7 +54,7 @@ GRIPS = {
 
 
 def grip_of(name: str) -> str:
-    """Name of an object's grip, one of `GRIPS`, from models/objects.yaml.
+    """Returns the name of an object's grip, one of `GRIPS`, from models/objects.yaml.
 
     Raises:
         UnknownNameError: the object is not listed there, or its grip does not exist.
@@ -86,16 +86,16 @@ def grip_contacts(
     offset: float = _OFFSETS[0],
     spacing: float | None = None,
 ) -> list[Contact]:
-    """Contacts of a grip on the object's main part.
+    """Returns the contacts of a grip on the object's main part.
 
     Args:
         yaw: direction of the grip's axis from the thumb to the fingers, rad.
-        height: of the grip, as a share of the object's height.
+        height: height of the grip as a fraction of the object's height.
         grip: one of `GRIPS`.
-        side: of the hand.
+        side: "left" or "right", of the hand.
         offset: one of `finger_offsets`, m.
-        spacing: distance of the contacts of adjacent fingers, m, for fingers that cannot spread as the grip
-            asks; None: as the grip asks.
+        spacing: distance between contacts of adjacent fingers, m, for fingers that cannot spread as far as
+            the grip defines; None for the grip's own.
     """
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
@@ -110,24 +110,24 @@ def grip_contacts(
 
 
 def _vertical_step(spacing: float | None) -> float:
-    """Height of a finger's contact above the next one's in a power grasp, m."""
+    """Returns the height of a finger's contact above the next finger's in a power grasp, m."""
     return _MAX_STEP if spacing is None else min(spacing, _MAX_STEP)
 
 
 def _narrowed(angle: float, widest: float) -> float:
-    """A finger's angle, at most `widest`; the thumb's stays opposite, rad."""
+    """Returns a finger's angle clipped to ±`widest`; a thumb's angle is kept; rad."""
     return angle if abs(angle) > math.pi / 2 else float(np.clip(angle, -widest, widest))
 
 
 def palm_contact(shape: ObjectShape, yaw: float, height: float, side: str = "right") -> Contact:
-    """The palm's contact in a power grasp; arguments as in `grip_contacts`."""
+    """Returns the palm's contact in a power grasp; for the arguments see `grip_contacts`."""
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
     return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, offset=0.0)
 
 
 def _turned(angle: float, side: str) -> float:
-    """A right hand's angle about the vertical for a hand of that side."""
+    """Converts a right hand's angle about the vertical to a hand of `side`."""
     return -angle if side == "left" else angle
 
 
@@ -143,7 +143,7 @@ def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, 
 
 
 def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
-    """Lowest and highest z of the upright object in O, m."""
+    """Returns the lowest and the highest z of the upright object in O, m."""
     upside_down = RigidTransform(RotationMatrix.MakeXRotation(math.pi), np.zeros(3))
     return shape.lowest_point(RigidTransform()), -shape.lowest_point(upside_down)
 
@@ -151,10 +151,10 @@ def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
 def contact_heights(
     shape: ObjectShape, grip: str, lowest: float, spacing: float | None = None
 ) -> list[float]:
-    """Heights of the grip to try, best first, as shares of the object's height.
+    """Returns heights of the grip to try, best first, as fractions of the object's height.
 
     Just above the middle is best, because the object then hangs from its contacts. `lowest` is the least
-    height of a contact above the object's bottom, m; `spacing` is as in `grip_contacts`.
+    height of a contact above the object's bottom, m; for `spacing` see `grip_contacts`.
     """
     main, X_OG = shape.main
     if isinstance(main, Sphere | Ellipsoid):
@@ -174,9 +174,9 @@ def contact_heights(
 
 
 def finger_offsets(shape: ObjectShape, grip: str) -> tuple[float, ...]:
-    """Distances of adjacent fingers from the middle of a flat side to try, best first, m.
+    """Returns distances of adjacent fingers from the middle of a flat side to try, best first, m.
 
-    There is only one on round objects and for a single finger.
+    Round objects and grips without adjacent fingers have only one.
     """
     main, _ = shape.main
     alone = all(math.isclose(math.sin(angle), 0, abs_tol=1e-9) for angle, _ in GRIPS[grip].fingers.values())
@@ -188,7 +188,7 @@ def finger_offsets(shape: ObjectShape, grip: str) -> tuple[float, ...]:
 
 
 def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
-    """Yaws of the grip's axis to try, rad, and the object's yaw symmetry, rad (0: full)."""
+    """Returns yaws of the grip's axis to try, rad, and the object's yaw symmetry, rad (0: any angle)."""
     main, _ = shape.main
     if isinstance(main, Box):
         square = math.isclose(main.width(), main.depth(), rel_tol=0.02)
@@ -201,7 +201,7 @@ def yaw_candidates(shape: ObjectShape) -> tuple[list[float], float]:
 
 
 def _radius_at(shape: Shape, direction: np.ndarray, z: float) -> float:
-    """Returns how far the surface of an upright shape is from its axis, m.
+    """Returns the distance of an upright shape's surface from its axis, m.
 
     Args:
         direction: horizontal unit vector from the axis.
@@ -218,7 +218,7 @@ def _radius_at(shape: Shape, direction: np.ndarray, z: float) -> float:
 def _on_box(
     half: np.ndarray, X_OG: RigidTransform, direction: np.ndarray, yaw: float, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The contact in `direction` on a box's side across the grip's axis, and its outward normal."""
+    """Returns the contact in `direction` on a box's side across the grip's axis, and the outward normal."""
     axis = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     side = axis if direction @ axis > 0 else -axis
     lateral = np.array([-math.sin(yaw), math.cos(yaw), 0.0])

@@ -17,24 +17,24 @@ class GraspGoal(Goal):
     clearance is the least distance between the fingers of the open hand and the object on the way to it.
     """
 
-    # Hand base at the grasp, and before it, clear of the object.
+    # Pose of the hand base at the grasp, and while waiting before it, clear of the object.
     X_OB: RigidTransform
     X_OB_before: RigidTransform
-    # (F, 3) fingertip points of the open hand in B, m.
+    # (F, 3) fingertips of the open hand in B, m.
     p_BF_open: np.ndarray
-    # (F, 3) fingertip points in O when touching, m, and unit vectors inwards.
+    # (F, 3) touching fingertips in O, m, and inward unit vectors.
     p_OF_touch: np.ndarray
     n_OF: np.ndarray
-    # The grasp is the same for an object turned about its vertical by this angle, rad; 0: by any angle.
+    # Turn about the vertical after which the object looks the same, rad; 0 for any turn.
     yaw_symmetry: float
 
     def places(self) -> tuple[np.ndarray]:
         return (self.p_BF_open,)
 
     def object_frame(self, X_WO: RigidTransform) -> RigidTransform:
-        """The upright frame O of the grasp for an object at X_WO.
+        """Returns the upright frame O of the grasp for an object at X_WO.
 
-        Its yaw is the equivalent one nearest to zero, so the wrist turns least.
+        Of equivalent yaws it has the one nearest to zero, so that the wrist turns least.
         """
         R = X_WO.rotation().matrix()
         yaw = math.atan2(R[1, 0], R[0, 0])

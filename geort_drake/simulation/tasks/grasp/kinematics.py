@@ -27,22 +27,22 @@ _CLEARANCE = 0.002
 _GROUND_CLEARANCE = 0.006
 # Tolerances of the fingertips' positions, m: touching, and open.
 _TOLERANCE, _OPEN_TOLERANCE = 0.001, 0.008
-# Range of the object's contact on the palm before the fingers close: gap, sideways and along the fingers from
-# the knuckles, in B, m; and the palm's largest tilt, rad.
+# Range of the object's contact on the palm before the fingers close, in B, m: gap, sideways, and along the
+# fingers, relative to the knuckles; and the palm's largest tilt, rad.
 _PALM_GAP = (0.002, 0.006)
 _PALM_Y = (-0.015, 0.015)
 _PALM_Z = (-0.06, 0.0)
 _PALM_TILT = 0.25
-# Share of its range that a grasping joint keeps from either limit, to be able to squeeze.
+# Fraction of its range that a grasping joint keeps from either limit, to be able to squeeze.
 _LIMIT_MARGIN = 0.1
-# Weights in the discomfort of a posture: of the arm's joints, and of joints of fingers that do not grasp. A
-# grasping finger's joints weigh 1.
+# Weights in the discomfort of a posture: for the arm's joints, and for joints of idle fingers. Joints of
+# grasping fingers have weight 1.
 _ARM_WEIGHT = 0.5
 _IDLE_WEIGHT = 10.0
 
 
 class GraspKinematics:
-    """The scenario's robot and object; finds postures in which fingertips are at given contacts.
+    """Finds postures of the scenario's robot in which fingertips are at given contacts on the object.
 
     Frames: W the world, O the object, B the hand base, F a fingertip point. The object stands at the
     scenario's position with zero yaw.
@@ -69,13 +69,13 @@ class GraspKinematics:
         self._base = plant.GetFrameByName(description.base_frame, self._hand)
         self._knuckles = self._find_knuckles()
         self._palm_front = self._find_palm_front(scene_graph)
-        self._let_tips_touch(scene_graph)
+        self._allow_tip_contacts(scene_graph)
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
         # Solving leaves its last iterate in the context.
         self.q_default = plant.GetPositions(self._plant_context).copy()
-        self.q_middle = self._with_grasping_joints_in_the_middle()
+        self.q_middle = self._centred_positions()
         self._ignore_links_close_at_rest()
 
     def touch(
@@ -86,8 +86,8 @@ class GraspKinematics:
         Args:
             contacts: one for each grasping finger.
             palm: the palm's contact, or None.
-            guess: positions of the plant to start from.
-            collisions: whether to avoid collisions, which takes a hundred times longer.
+            guess: initial positions of the plant.
+            collisions: whether to avoid collisions, which takes a hundred times as long.
 
         Returns:
             The posture's discomfort and the positions of the plant, or None.
@@ -95,7 +95,7 @@ class GraspKinematics:
         ik = self._program(contacts, 0.0, _TOLERANCE)
         low, high = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
         if palm is not None:
-            self._put_palm(ik, palm)
+            self._constrain_palm(ik, palm)
         if collisions:
             ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
         for finger in self._grasping:
@@ -111,7 +111,7 @@ class GraspKinematics:
         return result.get_optimal_cost(), result.GetSolution(ik.q())
 
     def open(self, contacts: list[Contact], opening: float, q_touch: np.ndarray) -> np.ndarray | None:
-        """Positions with the fingertips `opening` (m) off the contacts and the arm as in q_touch, or None."""
+        """Returns positions with tips `opening` (m) off the contacts and the arm as in q_touch, or None."""
         ik = self._program(contacts, opening, _OPEN_TOLERANCE)
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
         arm = self._arm_positions()
@@ -120,7 +120,7 @@ class GraspKinematics:
         return result.GetSolution(ik.q()) if result.is_success() else None
 
     def open_wide(self, q_touch: np.ndarray) -> np.ndarray | None:
-        """Positions with the hand in its default posture and the arm as in q_touch; None in collision."""
+        """Returns positions with the hand at its default, the arm as in q_touch; None in collision."""
         q, arm = self.q_default.copy(), self._arm_positions()
         q[arm] = q_touch[arm]
         self._plant.SetPositions(self._plant_context, q)
@@ -128,12 +128,12 @@ class GraspKinematics:
         return None if query.HasCollisions() else q
 
     def hand_pose(self, q: np.ndarray) -> RigidTransform:
-        """X_OB at the plant's positions q."""
+        """Returns X_OB at the plant's positions q."""
         self._plant.SetPositions(self._plant_context, q)
         return self._X_WO.inverse() @ self._base.CalcPoseInWorld(self._plant_context)
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
-        """p_OF (F, 3) of all fingertip points at the plant's positions q, m."""
+        """Returns p_OF (F, 3) of all fingertips at the plant's positions q, m."""
         self._plant.SetPositions(self._plant_context, q)
         p_WF = [
             self._tip_body(finger).EvalPoseInWorld(self._plant_context) @ np.asarray(finger.tip_point, float)
@@ -142,7 +142,7 @@ class GraspKinematics:
         return self._X_WO.inverse().multiply(np.array(p_WF).T).T
 
     def joint_positions(self, q: np.ndarray) -> dict[str, float]:
-        """The plant's positions q by joint name, rad."""
+        """Returns the plant's positions q by joint name, rad."""
         joints = map(self._plant.get_joint, self._plant.GetJointIndices())
         return {joint.name(): q[joint.position_start()] for joint in joints if joint.num_positions()}
 
@@ -151,7 +151,7 @@ class GraspKinematics:
         return [joint.position_start() for joint in joints if joint.num_positions()]
 
     def _program(self, contacts: list[Contact], opening: float, tolerance: float) -> InverseKinematics:
-        """A program with fingertips `opening` off their contacts and a cost of discomfort."""
+        """Returns a program with fingertips `opening` (m) off their contacts and discomfort as cost."""
         plant = self._plant
         ik = InverseKinematics(plant, self._plant_context)
         by_finger = {contact.part: contact for contact in contacts}
@@ -162,7 +162,7 @@ class GraspKinematics:
                 self._tip_body(finger).body_frame(),
                 np.asarray(finger.tip_point, float),
                 self._object.body_frame(),
-                # Not lower: the support is below.
+                # No tolerance downwards, where the support is.
                 p_OF - np.array([tolerance, tolerance, 0.0]),
                 p_OF + tolerance,
             )
@@ -172,14 +172,14 @@ class GraspKinematics:
                 weight[self._position_index(name)] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
         for c in followers(self._description):
             index = self._position_index(c.joint)
-            weight[index] = 0.0  # only its leader's angle counts
+            weight[index] = 0.0  # it follows its leader, which has a weight
             difference = ik.q()[index] - c.ratio * ik.q()[self._position_index(c.follows)]
             ik.get_mutable_prog().AddLinearEqualityConstraint(difference == c.offset)
-        # A grasping joint is best in the middle of its range.
+        # A grasping joint is most comfortable in the middle of its range.
         ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), self.q_middle, ik.q())
         return ik
 
-    def _with_grasping_joints_in_the_middle(self) -> np.ndarray:
+    def _centred_positions(self) -> np.ndarray:
         """Returns the default positions with grasping joints in the middle of their ranges."""
         q = self.q_default.copy()
         middle = 0.5 * (self._plant.GetPositionLowerLimits() + self._plant.GetPositionUpperLimits())
@@ -190,7 +190,7 @@ class GraspKinematics:
             q[self._position_index(c.joint)] = c.ratio * q[self._position_index(c.follows)] + c.offset
         return q
 
-    def _put_palm(self, ik: InverseKinematics, palm: Contact) -> None:
+    def _constrain_palm(self, ik: InverseKinematics, palm: Contact) -> None:
         """Constrains the palm to face the object at the contact, index finger up."""
         low, high = zip(_PALM_GAP, _PALM_Y, _PALM_Z, strict=True)
         front = np.array([self._palm_front, 0.0, self._knuckles[:, 2].mean()])
@@ -210,16 +210,16 @@ class GraspKinematics:
         return float(np.linalg.norm(last - first)) / max(len(self._knuckles) - 1, 1)
 
     def _find_knuckles(self) -> np.ndarray:
-        """Returns where the first joints of the grasping fingers are in B, without the thumb's, (N, 3) m."""
+        """Returns the first joints' positions in B of the grasping fingers except the thumb, (N, 3) m."""
         context = self._plant.CreateDefaultContext()
         first = [finger.joints[0] for finger in self._grasping if finger.name != "thumb"]
         frames = [self._plant.GetJointByName(name, self._hand).frame_on_parent() for name in first]
         return np.array([frame.CalcPose(context, self._base).translation() for frame in frames])
 
     def _find_palm_front(self, scene_graph: SceneGraph) -> float:
-        """Returns the largest x in B of the collision geometry of the palm's contact range, m.
+        """Returns the largest x in B of the palm's collision geometry within the contact range, m.
 
-        A forearm behind the palm does not count.
+        The range excludes a forearm behind the palm.
         """
         low, high = np.array(_PALM_Z) + self._knuckles[:, 2].mean()
         fronts = []
@@ -229,14 +229,14 @@ class GraspKinematics:
                 fronts.append(p_BP[:, 0].max())
         return max(fronts, default=0.0)
 
-    def _let_tips_touch(self, scene_graph: SceneGraph) -> None:
+    def _allow_tip_contacts(self, scene_graph: SceneGraph) -> None:
         """Filters collisions of grasping fingertips with each other, the object and its support."""
         tips = [
             geometry
             for finger in self._grasping
             for geometry in tip_geometries(self._plant, scene_graph.model_inspector(), self._tip_body(finger))
         ]
-        # Welded to the world are the object and its support.
+        # The object and its support are welded to the world.
         fixed = [
             geometry
             for body in self._plant.GetBodiesWeldedTo(self._plant.world_body())
@@ -250,7 +250,7 @@ class GraspKinematics:
     def _ignore_links_close_at_rest(self) -> None:
         """Filters pairs of the hand's own shapes that are closer than the clearance in its default posture.
 
-        Hulls of described hands overlap; no posture would be clear of such pairs.
+        Convex hulls of some hands overlap; no posture would be clear of such pairs.
         """
         links = map(self._plant.get_body, self._plant.GetBodyIndices(self._hand))
         own = {geometry for link in links for geometry in self._plant.GetCollisionGeometriesForBody(link)}
@@ -270,7 +270,7 @@ class GraspKinematics:
 
 
 def _options() -> SolverOptions:
-    # A solution takes about 30 iterations; a start that needs many more rarely leads to one.
+    # A solution takes about 30 iterations; a guess that needs many more rarely leads to one.
     options = SolverOptions()
     options.SetOption(SnoptSolver.id(), "Major iterations limit", 60)
     options.SetOption(SnoptSolver.id(), "Iterations limit", 1000)

@@ -1,4 +1,4 @@
-"""Judges a grasp from the physics alone: held or failed, and in which phase."""
+"""Judges a grasp from the simulated physics alone: held or failed, and in which phase."""
 
 import dataclasses as dc
 import enum
@@ -15,15 +15,15 @@ from geort_drake.systems.port_values import vector_to_pose
 
 
 class GraspPhase(enum.IntEnum):
-    """Progress of the grasp."""
+    """Phases of a grasp, as the monitor sees it."""
 
     REACH = 0  # nothing touches the object
     TOUCH = 1  # one finger touches
     GRASP = 2  # two or more fingers touch
-    LIFT = 3  # and the object has left its support
-    HOLD = 4  # and it is high enough
-    DONE = 5  # and it stayed there long enough
-    THROWN = 6  # it lies beside its support, out of reach
+    LIFT = 3  # ... and the object has left its support
+    HOLD = 4  # ... and the object is high enough
+    DONE = 5  # ... and the object stayed there long enough
+    THROWN = 6  # the object lies off its support, out of reach
 
 
 _LIFTED = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
@@ -40,12 +40,12 @@ class GraspMonitorConfig:
     # The object's lowest point must be this high above its support, m, for this long, s.
     height: float = 0.10
     hold_time: float = 2.0
-    # Above this height the object has left its support, m.
+    # Height above which the object has left its support, m.
     lifted: float = 0.005
     # The object was thrown if it is this far below its support, or this far from its start and untouched, m.
     fallen: float = 0.03
     strayed: float = 0.30
-    # A contact force above this is a touch, N.
+    # Contact force above which a finger touches, N.
     touch_force: float = 0.02
     # A lifted object was dropped if fewer than two fingers have touched it for this long, s.
     drop_time: float = 0.1
@@ -57,26 +57,27 @@ class GraspMonitorConfig:
 
 @dc.dataclass(frozen=True)
 class GraspOutcome(Outcome):
-    """The grasp so far; times in s since the start, NaN for what has not happened."""
+    """The grasp so far; times in s since the start, NaN for events that have not happened."""
 
     phase: GraspPhase = GraspPhase.REACH
-    # By phase name: first entry, and total time.
+    # Phase name → time of its first entry, and total time spent in it.
     times: dict[str, float] = dc.field(default_factory=dict)
     durations: dict[str, float] = dc.field(default_factory=dict)
-    # Since when the object has been high enough; NaN while it is lower.
+    # When the object became high enough; NaN while it is lower.
     held_since: float = math.nan
-    # While it has been: time in which each link of the hand touched it, s, by name.
+    # Link of the hand → time for which it has touched the object since then, s.
     holding: dict[str, float] = dc.field(default_factory=dict)
-    # Last phase in which a finger touched the object, without the phases that end a trial.
+    # Last phase in which a finger touched the object, except phases that end a trial.
     last_touched: GraspPhase = GraspPhase.REACH
-    # Lifts that ended: the object was back on its support, or two fingers had left it for `drop_time`.
+    # Lifts that ended: the object was back on its support, or fewer than two fingers touched it for
+    # `drop_time`.
     drops: int = 0
     # Largest displacement of the object's origin in B since the last lift began, m; NaN without a lift. A
     # lift begins with the phase LIFT and ends with a drop.
     slip: float = math.nan
     peak_height: float = 0.0
-    # The object's place at first; during a lift p_BO at its start, and since when fewer than two fingers have
-    # touched the object.
+    # The object's first position; during a lift, p_BO at its start, and since when fewer than two fingers
+    # have touched the object.
     p_WO_start: np.ndarray | None = None
     p_BO_lifted: np.ndarray | None = None
     loose_since: float = math.nan
@@ -88,7 +89,7 @@ class GraspOutcome(Outcome):
 
     @property
     def score(self) -> float:
-        """Share of the phases to the end of the hold that were reached."""
+        """Furthest phase reached, as a fraction of DONE."""
         phases = [GraspPhase[name] for name in self.times]
         return max((phase for phase in phases if phase != GraspPhase.THROWN), default=0) / GraspPhase.DONE
 
@@ -104,7 +105,7 @@ class GraspOutcome(Outcome):
 
 
 class GraspMonitor(TaskMonitor[GraspOutcome]):
-    """Watches object and contacts without delay or noise.
+    """Judges a grasp from object pose and contacts, without delay or noise.
 
     Input ports, besides those of `TaskMonitor`, contact (F) and self_contact (1):
         object_pose (7): X_WO, qw qx qy qz x y z.
@@ -115,7 +116,7 @@ class GraspMonitor(TaskMonitor[GraspOutcome]):
         outcome (abstract GraspOutcome).
 
     Args:
-        links: L names.
+        links: names of the L links.
         lowest_point: maps X_WO to the height in W of the object's lowest point, m.
         support_height: height of the support in W, m.
     """

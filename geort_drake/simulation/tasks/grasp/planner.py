@@ -1,6 +1,6 @@
 """Plans the grasp of an object: hand poses and contacts.
 
-The planner knows the object's shape and grip, the robot and the surroundings, but no retargeting. It places
+The planner knows the object's shape and grip, the robot and its surroundings, but no retargeter. It places
 contacts on the object at several yaws and heights, and takes the most comfortable collision-free posture of
 arm and hand that reaches them.
 """
@@ -34,9 +34,9 @@ from geort_drake.simulation.tasks.grasp.kinematics import GraspKinematics
 _TIP_GAP = 0.002
 # Discomfort of each step down the list of heights.
 _HEIGHT_STEP = 0.2
-# At most this many candidates are tried for each of `finger_offsets`.
+# Largest number of candidates tried for each of `finger_offsets`.
 _TRIES = 36
-# Grip → the one to try if the hand finds no grasp of it.
+# Grip → grip to try next if no grasp with it is found.
 _FALLBACK_GRIPS = {"power": "tripod", "tripod": "pinch"}
 # Opening of the fingertips around their contacts, m.
 _OPENING = 0.025
@@ -45,12 +45,12 @@ _OPENING = 0.025
 class GraspPlanner:
     """Plans grasps of one object with the scenario's robot.
 
-    A hand that finds no grasp of the object's grip tries again with contacts as close together as its own
-    fingers, and then the next of power, tripod and pinch.
+    If the object's grip gives no grasp, the planner tries contacts as close together as the hand's fingers,
+    and then the next grip of power, tripod and pinch.
 
     Args:
-        grip: one of `GRIPS`; None: the object's.
-        tip_height: of the fingertip points above the object's bottom, m; None: as `contact_heights` says.
+        grip: one of `GRIPS`; None for the object's.
+        tip_height: height of the fingertips above the object's bottom, m; None for `contact_heights`.
 
     Raises:
         ScenarioError: the hand lacks a finger of the object's grip.
@@ -80,7 +80,7 @@ class GraspPlanner:
         )
 
     def plans(self, enough: int = 20) -> list[GraspGoal]:
-        """Different grasps, at most `enough`, the most comfortable first; deterministic.
+        """Returns up to `enough` different grasps, the most comfortable first; deterministic.
 
         Raises:
             ScenarioError: no grasp is found.
@@ -102,11 +102,11 @@ class GraspPlanner:
     def _search(
         self, q_start: np.ndarray, distances: list[tuple[float, float | None]], enough: int
     ) -> list[tuple[float, GraspGoal]]:
-        """At most `enough` grasps with their costs.
+        """Returns up to `enough` grasps with their costs.
 
         Args:
-            q_start: positions of the plant to start from.
-            distances: `offset` and `spacing` of `grip_contacts`, in the order of preference.
+            q_start: initial positions of the plant.
+            distances: `offset` and `spacing` of `grip_contacts`, in order of preference.
         """
         found: list[tuple[float, GraspGoal]] = []
         for offset, spacing in distances:
@@ -119,9 +119,9 @@ class GraspPlanner:
         return found
 
     def _grasp_from(self, candidate: "_Candidate") -> tuple[float, GraspGoal] | None:
-        """Cost and goal of a collision-free grasp with open fingers and a path to it, or None."""
+        """Returns cost and goal of a collision-free grasp that the open hand can approach, or None."""
         robot = self._kinematics
-        # Beside a low object, the support often separates the first guess from all solutions.
+        # At a low object, the support often separates the first guess from all solutions.
         guesses = (
             [candidate.q] if self._tip_height is None else [candidate.q, robot.q_default, robot.q_middle]
         )
@@ -148,7 +148,7 @@ class GraspPlanner:
             touches=np.array([name in normals for name in names]),
             X_OB=X_OB,
             X_OB_before=X_OB_before,
-            # A hand that opens wide has no places to keep to.
+            # A hand that opens wide need not keep its fingertips anywhere.
             clearance=np.inf if wide else clearance,
             p_BF_open=X_OB.inverse().multiply(robot.fingertips(q_open).T).T,
             p_OF_touch=robot.fingertips(q_touch),
@@ -158,10 +158,10 @@ class GraspPlanner:
         return discomfort + candidate.penalty, goal
 
     def _candidates(self, q_start: np.ndarray, offset: float, spacing: float | None) -> list["_Candidate"]:
-        """Contacts within reach, the most promising first; arguments as in `_search`.
+        """Returns contacts within reach, the most promising first; for the arguments see `_search`.
 
-        Sorted by inverse kinematics without collisions, which takes a hundredth of the time and rarely gives
-        another discomfort.
+        They are ranked by inverse kinematics without collisions, which takes a hundredth of the time and
+        rarely changes the discomfort.
         """
         robot, side = self._kinematics, self._description.side
         shape = robot.shape
@@ -184,7 +184,7 @@ class GraspPlanner:
         return sorted(candidates, key=lambda candidate: candidate.cost)
 
     def _tips_are_clear(self, contacts: list[Contact]) -> bool:
-        """Whether the fingertips at these contacts are clear of each other."""
+        """Whether fingertips at these contacts are clear of each other."""
         radius = {finger.name: finger.tip_radius for finger in self._description.fingers}
         tips = [
             (contact.p_OC - contact.n_O * radius[contact.part], radius[contact.part]) for contact in contacts
@@ -197,10 +197,10 @@ class GraspPlanner:
 
 @dc.dataclass(frozen=True)
 class _Candidate:
-    """Contacts that can be reached if collisions are ignored."""
+    """Contacts that are reachable if collisions are ignored."""
 
     cost: float  # discomfort and penalty
-    penalty: float  # for the height
+    penalty: float  # discomfort for the height
     contacts: list[Contact]
     palm: Contact | None
     q: np.ndarray

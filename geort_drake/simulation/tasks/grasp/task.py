@@ -23,7 +23,7 @@ from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.view import add_monitor, add_view, shown_by
 from geort_drake.simulation.world import add_scene
 
-# What the person sees and feels who handles an object.
+# Ports that a person who handles an object perceives.
 HANDLING = ("fingertips", "hand_pose", "object_pose", "contact")
 
 
@@ -35,11 +35,11 @@ class GraspResult(TrialResult):
     phase in which a finger touched the object, or reach if none did, as when the palm knocked it over.
     """
 
-    # Whether it succeeded and only links of fingertips touched the object during the hold.
+    # Whether it succeeded and only fingertip links touched the object during the hold.
     tip_success: bool
-    # Time in which each link of the hand touched the object during the hold.
+    # Link of the hand → time for which it touched the object during the hold.
     holding: dict[str, float]
-    # By phase of the monitor: first entry, and total time.
+    # Phase of the monitor → time of its first entry, and total time spent in it.
     phase_times: dict[str, float]
     phase_durations: dict[str, float]
     # Number of lifts that ended in a drop, see `GraspOutcome`.
@@ -50,7 +50,7 @@ class GraspResult(TrialResult):
 
 
 class ObjectTask(Task[GraspGoal]):
-    """A task that begins with the grasp of an object, which is its case."""
+    """Base class of tasks that begin with the grasp of an object; the object is the case."""
 
     def choose(self, scenario: Scenario, case: str) -> None:
         if case not in self.cases():

@@ -1,4 +1,4 @@
-"""The goal of the keys: where they are in the hand, and which finger presses which."""
+"""The goal of the keys: where the keys are in the hand, and which finger presses which."""
 
 import dataclasses as dc
 
@@ -6,9 +6,9 @@ import numpy as np
 
 from geort_drake.simulation.operators.goal import Goal
 
-# Of the row: caps along the fingers and across them, m, and the distance between neighbours' centres.
+# Size of a key cap along and across the fingers, and distance between the centres of neighbours, m.
 CAP_LENGTH, CAP_WIDTH, PITCH = 0.040, 0.018, 0.045
-FINGERS = ("index", "middle", "ring")  # key by key, from the thumb's side
+FINGERS = ("index", "middle", "ring")  # finger of each key, from the thumb's side
 
 
 @dc.dataclass(frozen=True)
@@ -22,7 +22,7 @@ class KeysGoal(Goal):
     p_BK: np.ndarray
     # (F,) key of each finger, -1 for none.
     key_of: np.ndarray
-    # (F, 3) fingertip points in B above the keys and on pressed keys, m.
+    # (F, 3) fingertips in B above the keys and on pressed keys, m.
     p_BF_open: np.ndarray
     p_BF_pressed: np.ndarray
 

@@ -1,4 +1,4 @@
-"""Cues presses and judges them: the cued key down, the others still."""
+"""Cues presses and judges them: the cued key must go down, the others stay still."""
 
 import dataclasses as dc
 import math
@@ -12,18 +12,18 @@ from geort_drake.simulation.monitor import Outcome, TaskMonitor, TaskSettings
 
 @dc.dataclass(frozen=True)
 class KeysSettings(TaskSettings):
-    """The presses, and when one counts."""
+    """Number and timing of the presses, and criteria for one to count."""
 
-    # Number of cues, and time before the first, of each at most, and between two, s. A cue ends when its key
-    # was pressed and is up again.
+    # Number of cues; time before the first, longest time of a cue, and time between two, s. A cue ends when
+    # its key was pressed and is up again.
     presses: float = 12
     ready_time: float = 6.0
     cue_time: float = 2.0
     rest_time: float = 0.5
-    # The cued key must go down by more than `depth` and no other by more than `still` during the cue, m.
+    # During the cue, the cued key must go down by more than `depth` and no other by more than `still`, m.
     depth: float = 0.003
     still: float = 0.0005
-    # Presses without fault that make a success.
+    # Number of counted presses needed for success.
     enough: float = 10
 
 
@@ -34,10 +34,10 @@ class Press:
     key: int
     depth: float = 0.0  # largest travel of the cued key
     others: float = 0.0  # largest travel of another key
-    time: float = math.nan  # from the cue until the key was down
+    time: float = math.nan  # time from the cue until the key was down
 
     def seen(self, travel: np.ndarray, since: float, down: float) -> "Press":
-        """The press with the keys' travel (K,) this long after its cue; beyond `down` a key is down."""
+        """Updates with the keys' travel (K,), `since` s after the cue; beyond `down` a key is down."""
         depth, others = float(travel[self.key]), float(np.delete(travel, self.key).max(initial=0.0))
         time = since if math.isnan(self.time) and depth > down else self.time
         return Press(self.key, max(self.depth, depth), max(self.others, others), time)
@@ -48,8 +48,8 @@ class KeysOutcome(Outcome):
     """The presses so far."""
 
     settings: KeysSettings
-    # When the next cue follows, s after the task began; and since when the present one is shown, s, NaN
-    # between two.
+    # When the next cue follows, s after the task began; and since when the present cue is shown, s; NaN
+    # between cues.
     next_cue: float
     cued_since: float = math.nan
     presses: tuple[Press, ...] = ()
@@ -71,17 +71,17 @@ class KeysOutcome(Outcome):
 
 
 class KeysMonitor(TaskMonitor[KeysOutcome]):
-    """Cues keys one after the other, watches all of them, and terminates the simulation after the last.
+    """Cues keys one after another, watches all of them, and terminates the simulation after the last cue.
 
     Input ports (K keys), besides those of `TaskMonitor`:
         joints (2K): travel of each key, m, then its speed.
     Output ports:
         cue (1): number of the key to press, from 1; 0 for none.
-        travel (K): of each key, m.
+        travel (K): travel of each key, m.
         outcome (abstract KeysOutcome).
 
     Args:
-        cued: key of each press.
+        cued: key of each cue.
     """
 
     def __init__(self, num_keys: int, num_fingers: int, cued: Sequence[int], settings: KeysSettings):

@@ -1,4 +1,4 @@
-"""Finds where three keys can be under a robot hand, and the postures above and on them."""
+"""Finds positions of three keys under a robot hand, and the postures above and on them."""
 
 import dataclasses as dc
 
@@ -9,9 +9,9 @@ from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
 from geort_drake.simulation.tasks.keys.goal import FINGERS, PITCH, KeysGoal
 
 HOVER = 0.002  # m, gap between a waiting fingertip and its key
-TRAVEL = 0.005  # m, of a key
-_CLEARANCE = 0.008  # m, by which free play may miss a fingertip's place above its key
-# Distances of the keys' tops from the hand base that are tried, along x and z of B, m.
+TRAVEL = 0.005  # m, full travel of a key
+_CLEARANCE = 0.008  # m, distance by which free play may miss a fingertip's place above its key
+# Positions of the keys' tops along x and z of B to try, m.
 _X, _Z = np.arange(0.05, 0.141, 0.01), np.arange(-0.02, 0.121, 0.01)
 # The last link must point down by this much, so that its tip touches first: sine of the angle.
 _MIN_SLOPE = 0.5
@@ -19,17 +19,17 @@ _MIN_SLOPE = 0.5
 
 @dc.dataclass(frozen=True)
 class KeysPlan(FingerPlan[KeysGoal]):
-    """A place of the keys; `q_open` has all fingertips above them.
+    """Positions of the keys; `q_open` has all fingertips above them.
 
     Attributes:
-        q_pressed: the same with one finger on its fully pressed key, for each key.
+        q_pressed: for each key, `q_open` with one finger on the fully pressed key.
     """
 
     q_pressed: list[np.ndarray]
 
 
 class KeysPlanner(FingerPlanner[KeysPlan]):
-    """Plans keys for a hand."""
+    """Plans where a hand presses keys."""
 
     needed, task = FINGERS, "the keys need"
     aim = f"reach three keys {1000 * PITCH:.0f} mm apart"
@@ -71,7 +71,7 @@ class KeysPlanner(FingerPlanner[KeysPlan]):
         return KeysPlan(goal, self.discomfort(q_open), q_open, q_pressed)
 
     def _reach(self, p_BF: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
-        """Joint positions with the pressing fingertips at p_BF (3, 3), m, which point down; or None."""
+        """Returns joint positions with fingertips at p_BF (3, 3), m, that point down; or None."""
         q = self.reach(p_BF, guess)
         return q if q is not None and self._tips_point_down(q) else None
 

@@ -1,4 +1,4 @@
-"""The keys: press the cued one of three, the others still, with a parked hand."""
+"""The keys: press the cued one of three without moving the others, with a parked hand."""
 
 import dataclasses as dc
 from pathlib import Path
@@ -32,22 +32,22 @@ _COLOR, _BED_COLOR = np.array([0.93, 0.93, 0.90, 1.0]), np.array([0.25, 0.26, 0.
 
 @dc.dataclass(frozen=True)
 class KeysResult(TrialResult):
-    """Result of one trial of keys. `outcome` is "success", or the numbers of faults."""
+    """Result of one trial of keys. `outcome` is "success", or the number of each fault."""
 
     # Presses in which the cued key went down, and in which the others stayed still.
     pressed: int
     still: int
-    # Means over the presses: largest travel of another key, m; and time until the cued key was down, s, None
+    # Means over the presses: largest travel of another key, m; and time until the cued key was down, s; None
     # if none was.
     others_travel: float
     press_time: float | None
 
 
 class KeysTask(FingerTask[KeysGoal]):
-    """Press the cued one of three keys; the others stay still."""
+    """Press the cued one of three keys without moving the others."""
 
     name = "keys"
-    summary = "press the cued one of three keys, the others still"
+    summary = "press the cued one of three keys without moving the others"
     result = KeysResult
     scenario = Path(__file__).with_name("scenario.yaml"), "Keys"
     settings = KeysSettings
@@ -58,7 +58,7 @@ class KeysTask(FingerTask[KeysGoal]):
     def add_handled(
         self, plant: MultibodyPlant, goal: KeysGoal, X_WB: RigidTransform, rng: np.random.Generator
     ) -> Handled:
-        """Adds caps on springs that are pressed along +x of B, above a bed."""
+        """Adds key caps on springs above a bed; they are pressed along +x of B."""
         model = plant.AddModelInstance("keys")
         bed = plant.AddRigidBody("bed", model, SpatialInertia.SolidBoxWithMass(0.5, 0.006, 0.15, 0.06))
         depth = _CAP_HEIGHT + TRAVEL + 0.004  # from the caps' tops to the middle of the bed
@@ -97,7 +97,7 @@ class KeysTask(FingerTask[KeysGoal]):
         settings: KeysSettings,
         rng: np.random.Generator,
     ) -> KeysMonitor:
-        # Every key equally often.
+        # Cues every key equally often.
         cued = rng.permutation(np.arange(round(settings.presses)) % len(goal.p_BK))
         return KeysMonitor(len(goal.p_BK), num_fingers, cued.tolist(), settings)
 

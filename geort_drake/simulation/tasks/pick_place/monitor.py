@@ -1,4 +1,4 @@
-"""Judges from the physics alone how far a block has come to its place, step by step."""
+"""Judges from the simulated physics alone which steps of a block's transfer are done."""
 
 import dataclasses as dc
 import math
@@ -12,34 +12,34 @@ from pydrake.systems.framework import Context
 from geort_drake.simulation.monitor import Outcome, TaskMonitor
 from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
 
-TOUCH_FORCE = 0.02  # N; a larger force is a touch
-HOLD_TIME = 0.5  # s, for which the last step must stay done
+TOUCH_FORCE = 0.02  # N, force above which a finger touches
+HOLD_TIME = 0.5  # s for which the last step must stay done
 # The block is lost if it is this far below its support, or this far from its place and untouched, m.
 _MAX_FALL, _MAX_OFFSET = 0.03, 0.4
 _MAX_ANGLE = math.radians(15)
 
 
-class Look(NamedTuple):
+class BlockState(NamedTuple):
     """A block relative to its support and its place; lengths in m, angles in rad."""
 
-    height: float  # of its lowest point above the support
+    height: float  # height of its lowest point above the support
     offset: float  # horizontal distance from its place
-    turn: float  # angle about the vertical from its place; a block looks the same after a quarter of a turn
-    tilt: float
-    touching: int  # number of fingers
+    turn: float  # angle about the vertical from its place, modulo the quarter turns of a square
+    tilt: float  # angle of its z axis from the vertical
+    touching: int  # number of fingers that touch it
 
 
-def _is_placed(look: Look) -> bool:
-    return look.height < 0.003 and look.offset < 0.010 and max(abs(look.turn), look.tilt) < _MAX_ANGLE
+def _is_placed(block: BlockState) -> bool:
+    return block.height < 0.003 and block.offset < 0.010 and max(abs(block.turn), block.tilt) < _MAX_ANGLE
 
 
-# Whether a step is done; it counts only after those before it.
-STEPS: dict[str, Callable[[Look], bool]] = {
-    "grasped": lambda look: look.touching >= 2,
-    "lifted": lambda look: look.touching >= 2 and look.height > 0.08,
-    "carried": lambda look: look.touching >= 2 and look.height > 0.003 and look.offset < 0.03,
+# Name of a step → whether it is done; a step counts only after those before it.
+STEPS: dict[str, Callable[[BlockState], bool]] = {
+    "grasped": lambda block: block.touching >= 2,
+    "lifted": lambda block: block.touching >= 2 and block.height > 0.08,
+    "carried": lambda block: block.touching >= 2 and block.height > 0.003 and block.offset < 0.03,
     "placed": _is_placed,
-    "released": lambda look: _is_placed(look) and look.touching == 0,
+    "released": lambda block: _is_placed(block) and block.touching == 0,
 }
 
 
@@ -47,26 +47,26 @@ STEPS: dict[str, Callable[[Look], bool]] = {
 class TransferOutcome(Outcome):
     """The steps so far; times in s since the start."""
 
-    # Of the steps reached, in order: when each was.
+    # When each step was reached, in order.
     times: tuple[float, ...] = ()
-    # Since when the last step is done; NaN while it is not.
+    # Since when the last step has been done; NaN while it is not.
     done_since: float = math.nan
-    look: Look | None = None
+    block: BlockState | None = None
     lost: bool = False
 
     @property
     def success(self) -> bool:
-        """Whether all steps are reached."""
+        """Whether all steps were reached."""
         return len(self.times) == len(STEPS)
 
     @property
     def over(self) -> bool:
-        """Whether it is decided."""
+        """Whether the transfer is decided."""
         return self.success or self.lost
 
     @property
     def score(self) -> float:
-        """Share of the steps that were reached, one after the other."""
+        """Fraction of the steps that were reached, one after another."""
         return len(self.times) / len(STEPS)
 
     @property
@@ -76,7 +76,7 @@ class TransferOutcome(Outcome):
 
 
 class TransferMonitor(TaskMonitor[TransferOutcome]):
-    """Watches a block on its way without delay or noise, and terminates a decided simulation.
+    """Judges the transfer of a block, without delay or noise, and terminates a decided simulation.
 
     Input ports, besides those of `TaskMonitor`:
         object_pose (7): X_WO, qw qx qy qz x y z.
@@ -86,7 +86,7 @@ class TransferMonitor(TaskMonitor[TransferOutcome]):
         outcome (abstract TransferOutcome).
 
     Args:
-        X_WP: where the block belongs.
+        X_WP: pose at which the block belongs.
         lowest_point: maps X_WO to the height in W of the block's lowest point, m.
         support_height: height of the support in W, m.
     """
@@ -105,23 +105,23 @@ class TransferMonitor(TaskMonitor[TransferOutcome]):
         self._declare_output("place_pose", 7, lambda outcome: place)
         self._declare_output("step", 1, lambda outcome: len(outcome.times))
 
-    def _seen(self, context: Context) -> Look:
+    def _seen(self, context: Context) -> BlockState:
         X_WO = vector_to_pose(self._object_pose.Eval(context))
-        way = X_WO.translation() - self._X_WP.translation()
+        offset = X_WO.translation() - self._X_WP.translation()
         R = self._X_WP.rotation().matrix().T @ X_WO.rotation().matrix()
         turn = math.remainder(math.atan2(R[1, 0], R[0, 0]), math.pi / 2)
-        return Look(
+        return BlockState(
             height=self._lowest_point(X_WO) - self._support,
-            offset=math.hypot(*way[:2]),
+            offset=math.hypot(*offset[:2]),
             turn=turn,
             tilt=math.acos(min(max(X_WO.rotation().matrix()[2, 2], -1.0), 1.0)),
             touching=int(np.sum(self._contact.Eval(context) > TOUCH_FORCE)),
         )
 
     def _judged(self, context: Context, before: TransferOutcome) -> TransferOutcome:
-        t, look = before.t, self._seen(context)
+        t, block = before.t, self._seen(context)
         times, done_since = before.times, math.nan
-        if list(STEPS.values())[len(times)](look):
+        if list(STEPS.values())[len(times)](block):
             if len(times) < len(STEPS) - 1:
                 times = (*times, t)
             else:
@@ -131,6 +131,6 @@ class TransferMonitor(TaskMonitor[TransferOutcome]):
         return before.having(
             times=times,
             done_since=done_since,
-            look=look,
-            lost=look.height < -_MAX_FALL or (look.offset > _MAX_OFFSET and look.touching == 0),
+            block=block,
+            lost=block.height < -_MAX_FALL or (block.offset > _MAX_OFFSET and block.touching == 0),
         )

@@ -25,10 +25,10 @@ from geort_drake.simulation.tasks.pick_place.monitor import STEPS, TransferMonit
 from geort_drake.simulation.view import add_monitor, add_view, shown_by
 from geort_drake.simulation.world import add_scene
 
-# Distance of the place from the middle of the object's placement, m; and ranges within which the place is
-# drawn, m and rad.
+# Distance of the place from the middle of the object's initial position, m; and ranges within which the place
+# is drawn, m and rad.
 _CARRY_DISTANCE, _POSITION_RANGE, _YAW_RANGE = 0.15, 0.02, 0.2
-HOVER = 0.02  # m, height above its place from which the person lowers the block
+HOVER = 0.02  # m, height above the place from which the person lowers the block
 _MARK = np.array([0.20, 0.62, 0.35, 1.0])
 
 
@@ -36,10 +36,10 @@ _MARK = np.array([0.20, 0.62, 0.35, 1.0])
 class TransferResult(TrialResult):
     """Result of one transfer. `outcome` is "success", or "lost" or "timeout" with the last step reached."""
 
-    # Horizontal distance from the place, m, and signed angle from it about the vertical, rad, at the end.
+    # Final horizontal distance from the place, m, and signed angle about the vertical, rad.
     place_error: float
     place_turn: float
-    # Step → when it was reached, s.
+    # Step → time at which it was reached, s.
     step_times: dict[str, float]
 
 
@@ -57,16 +57,16 @@ class PickPlaceTask(ObjectTask):
         return list(self.heights)
 
     def place(self, scenario: Scenario, side: str, rng: np.random.Generator) -> RigidTransform:
-        """X_WP of the scenario's object at its place, for a hand of that side."""
+        """Returns X_WP, where the scenario's object belongs, for a hand of that side; `rng` draws it."""
         x, y = scenario.object.position
         dx, dy = rng.uniform(-_POSITION_RANGE, _POSITION_RANGE, 2)
         yaw = rng.uniform(-_YAW_RANGE, _YAW_RANGE)
         z = scenario.object.support_height + self.heights[scenario.object.name] / 2
-        way = _CARRY_DISTANCE if side == "left" else -_CARRY_DISTANCE
-        return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + way + dy, z])
+        carry = _CARRY_DISTANCE if side == "left" else -_CARRY_DISTANCE
+        return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + carry + dy, z])
 
     def plans(self, scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
-        # Above the middle, so that the block hangs, and at least 4 mm above the table.
+        # Above the middle, so that the block hangs, and with at least 4 mm between tips and table.
         radius = max(finger.tip_radius for finger in description.fingers)
         tip_height = max(0.75 * self.heights[scenario.object.name], radius + 0.004)
         return GraspPlanner(scenario, description, "pinch", tip_height).plans()
@@ -101,20 +101,20 @@ class PickPlaceTask(ObjectTask):
         return PlacingPerson(hand, goal, config, rng, scenario.kind, intention, HOVER)
 
     def result_fields(self, outcome: TransferOutcome, description: HandDescription) -> dict[str, Any]:
-        assert outcome.look is not None  # the monitor looks at the start
+        assert outcome.block is not None  # the monitor's first check is at the start
         reached = dict(zip(STEPS, outcome.times, strict=False))
         last = list(reached)[-1] if reached else "reach"
         ending = "lost" if outcome.lost else "timeout"
         return {
             "outcome": "success" if outcome.success else f"{ending}: {last}",
-            "place_error": outcome.look.offset,
-            "place_turn": outcome.look.turn,
+            "place_error": outcome.block.offset,
+            "place_turn": outcome.block.turn,
             "step_times": {name: round(t, 6) for name, t in reached.items()},
         }
 
 
 def _add_mark(plant: MultibodyPlant, X_WP: RigidTransform) -> None:
-    """Marks the place, without contact."""
+    """Draws a mark at the place; it has no collision geometry."""
     X_WMark = RigidTransform(X_WP.rotation(), X_WP.translation() * [1, 1, 0])
     plant.RegisterVisualGeometry(plant.world_body(), X_WMark, Box(0.03, 0.03, 0.0008), "place", _MARK)
 

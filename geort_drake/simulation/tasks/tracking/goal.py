@@ -1,4 +1,4 @@
-"""The goal of in-grasp tracking: how three fingertips hold a puck, and where it shall be moved."""
+"""The goal of in-grasp tracking: how three fingertips hold a puck, and the targets for it."""
 
 import dataclasses as dc
 import math
@@ -11,11 +11,11 @@ from geort_drake.systems.port_values import rotation_of_vector
 
 RADIUS, HEIGHT = 0.020, 0.030  # m, of the puck
 FINGERS = ("thumb", "index", "middle")
-SHIFT, TURN = 0.010, math.radians(20)  # of the targets along each axis, m; and about x and y, rad
+SHIFT, TURN = 0.010, math.radians(20)  # of targets: along each axis, m; about x and y, rad
 
 
 def targets() -> list[RigidTransform]:
-    """Poses X_GT of the ten targets relative to the grip, where the puck's axis is z."""
+    """Returns poses X_GT of the ten targets relative to the grip G, whose z is the puck's axis."""
     steps = [sign * axis for axis in np.eye(3) for sign in (-1, 1)]
     shifts = [RigidTransform(SHIFT * step) for step in steps]
     return shifts + [RigidTransform(rotation_of_vector(TURN * step), [0, 0, 0]) for step in steps[:4]]
@@ -29,13 +29,13 @@ class TrackingGoal(Goal):
     """
 
     X_BG: RigidTransform
-    # (F, 3) fingertip points in B, m, off the puck and touching it, and directions away from it.
+    # (F, 3) fingertips in B, m, off the puck and touching it, and unit vectors away from it.
     p_BF_open: np.ndarray
     p_BF_touch: np.ndarray
     n_B: np.ndarray
 
     def places(self) -> list[np.ndarray]:
-        """Off the puck, and touching it at each target."""
+        """Returns fingertips off the puck, and touching it at each target."""
         X_GB = self.X_BG.inverse()
         moves = [self.X_BG @ X_GT @ X_GB for X_GT in targets()]
         return [self.p_BF_open, *(X.multiply(self.p_BF_touch.T).T for X in moves)]

@@ -15,19 +15,19 @@ from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
 
 @dc.dataclass(frozen=True)
 class TrackingSettings(TaskSettings):
-    """The targets, and when one counts."""
+    """Number and time of the targets, and criteria for one to count."""
 
-    # Number of targets, how many make a success, and longest time of each, s.
+    # Number of targets, number needed for success, and longest time of each, s.
     targets: float = 10
     enough: float = 5
     target_time: float = 6.0
-    # The puck counts as at its target within this distance, m, and angle of its axis, degrees, for this
-    # time, s.
+    # A target is reached when the puck stays within `distance`, m, and `angle` of its axis, degrees, for
+    # `hold_time`, s.
     distance: float = 0.003
     angle: float = 6.0
     hold_time: float = 0.5
-    # Time until the stand lets go of the puck and the first target is cued, s. The puck is dropped this far
-    # from its grip, m.
+    # Time until the stand releases the puck and the first target is cued, s; and distance from the grip at
+    # which the puck counts as dropped, m.
     ready_time: float = 8.0
     dropped: float = 0.04
 
@@ -37,11 +37,11 @@ class TrackingOutcome(Outcome):
     """The targets so far; times in s."""
 
     settings: TrackingSettings
-    times: tuple[float, ...] = ()  # of the targets that are over: until each was reached; NaN: it was not
+    times: tuple[float, ...] = ()  # time to reach each past target; NaN if missed
     bits: float = 0.0  # sum of the reached targets' indices of difficulty
-    difficulty: float = 0.0  # of the present target, bits
-    cued_since: float = math.nan  # NaN: no target yet
-    there_since: float = math.nan  # since when the puck is at its target; NaN: it is not
+    difficulty: float = 0.0  # index of difficulty of the present target, bits
+    cued_since: float = math.nan  # when the present target was cued; NaN before the first
+    reached_since: float = math.nan  # when the puck came to its target; NaN while it is elsewhere
     is_dropped: bool = False
 
     @property
@@ -66,19 +66,19 @@ class TrackingOutcome(Outcome):
 
 
 class TrackingMonitor(TaskMonitor[TrackingOutcome]):
-    """Cues one target after the other, watches the puck, and terminates a decided simulation.
+    """Cues one target after another, watches the puck, and terminates a decided simulation.
 
     Input ports, besides those of `TaskMonitor`:
         object_pose (7): X_WO of the puck, qw qx qy qz x y z.
     Output ports:
         cue (1): number of the target among those of the trial, from 1; 0 for none.
-        target_pose (7): X_WT of the target; the grip without one.
-        error (2): distance of the puck from there, mm, and angle of its axis, degrees.
+        target_pose (7): X_WT of the target, qw qx qy qz x y z; without a target, of the grip.
+        error (2): distance of the puck from the target, mm, and angle between their axes, degrees.
         outcome (abstract TrackingOutcome).
 
     Args:
-        X_WG: the grip.
-        cued: numbers of the targets in the order of their cues.
+        X_WG: pose of the grip.
+        cued: numbers of the targets in the order of their cues, from 0.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class TrackingMonitor(TaskMonitor[TrackingOutcome]):
             lambda context, output: output.SetFromVector(
                 [1e3, 1] * self._error(context, self.outcome(context))
             ),
-            {*self._of_outcome, self._pose.ticket()},
+            {*self._outcome_tickets, self._pose.ticket()},
         )
 
     def _target(self, outcome: TrackingOutcome) -> RigidTransform:
@@ -107,7 +107,7 @@ class TrackingMonitor(TaskMonitor[TrackingOutcome]):
         )
 
     def _error(self, context: Context, outcome: TrackingOutcome) -> np.ndarray:
-        """Distance, m, and angle, degrees, between the puck and its target; (2,)."""
+        """Returns distance, m, and angle, degrees, between the puck and its target; (2,)."""
         X_TO = self._target(outcome).inverse() @ vector_to_pose(self._pose.Eval(context))
         x, y, z = X_TO.rotation().matrix()[:, 2]
         return np.array([np.linalg.norm(X_TO.translation()), math.degrees(math.atan2(math.hypot(x, y), z))])
@@ -116,25 +116,26 @@ class TrackingMonitor(TaskMonitor[TrackingOutcome]):
         settings, t = before.settings, before.t
         if t < before.began + settings.ready_time - 1e-9:
             return before
-        away = vector_to_pose(self._pose.Eval(context)).translation() - self._X_WG.translation()
-        if np.linalg.norm(away) > settings.dropped:
+        displacement = vector_to_pose(self._pose.Eval(context)).translation() - self._X_WG.translation()
+        if np.linalg.norm(displacement) > settings.dropped:
             return before.having(is_dropped=True)
         if math.isnan(before.cued_since):
             return self._cued(before, context)
         error = self._error(context, before)
-        is_there = error[0] < settings.distance and error[1] < settings.angle
-        there_since = (t if math.isnan(before.there_since) else before.there_since) if is_there else math.nan
-        if t - there_since > settings.hold_time - 1e-9:
+        at_target = error[0] < settings.distance and error[1] < settings.angle
+        since = t if math.isnan(before.reached_since) else before.reached_since
+        reached_since = since if at_target else math.nan
+        if t - reached_since > settings.hold_time - 1e-9:
             bits, time = before.bits + before.difficulty, t - before.cued_since
         elif t - before.cued_since > settings.target_time - 1e-9:
             bits, time = before.bits, math.nan
         else:
-            return before.having(there_since=there_since)
+            return before.having(reached_since=reached_since)
         return self._cued(before.having(times=(*before.times, time), bits=bits), context)
 
     def _cued(self, outcome: TrackingOutcome, context: Context) -> TrackingOutcome:
-        """The outcome with the next target, whose difficulty is log2(1 + way / width), see Fitts 1954."""
-        now = outcome.having(cued_since=outcome.t, there_since=math.nan)
+        """Cues the next target, whose difficulty is log2(1 + distance / width), see Fitts 1954."""
+        now = outcome.having(cued_since=outcome.t, reached_since=math.nan)
         settings = outcome.settings
-        way = self._error(context, now) / [2 * settings.distance, 2 * settings.angle]
-        return now.having(difficulty=math.log2(1 + way.max()))
+        relative_error = self._error(context, now) / [2 * settings.distance, 2 * settings.angle]
+        return now.having(difficulty=math.log2(1 + relative_error.max()))

@@ -1,4 +1,4 @@
-"""Finds where a hand can hold the puck so that it can move it to all targets."""
+"""Finds where a hand can hold the puck and move it to all targets."""
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
@@ -8,11 +8,10 @@ from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
 from geort_drake.simulation.tasks.tracking.goal import FINGERS, HEIGHT, RADIUS, TrackingGoal
 
 HOVER = 0.020  # m, gap between a waiting fingertip and the puck
-_SPREAD = np.deg2rad(40.0)  # of the two fingers from opposite the thumb, around the puck
-_CLEARANCE = 0.010  # m, by which free play may miss a fingertip's place
+_SPREAD = np.deg2rad(40.0)  # angle of each finger around the puck from opposite the thumb
+_CLEARANCE = 0.010  # m, distance by which free play may miss a fingertip's place
 _LINK_CLEARANCE = 0.001  # m, least gap between puck and links other than fingertips
-# Places of the puck out of the palm and along the fingers, m, and tilts of its axis from straight out of the
-# palm, rad, that are tried.
+# Positions of the puck along x and z of B to try, m, and tilts of its axis from the palm's normal, rad.
 _X, _Z = np.arange(0.06, 0.121, 0.01), np.arange(-0.02, 0.061, 0.01)
 _TILT = np.deg2rad(np.arange(-45, 31, 15))
 

@@ -19,16 +19,16 @@ from geort_drake.simulation.tasks.tracking.goal import HEIGHT, RADIUS, TrackingG
 from geort_drake.simulation.tasks.tracking.monitor import TrackingMonitor, TrackingOutcome, TrackingSettings
 from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner
 
-_MASS, _FRICTION, _VARIATION = 0.050, 0.8, 0.2  # kg, and friction; both vary by this fraction with the seed
+_MASS, _FRICTION, _VARIATION = 0.050, 0.8, 0.2  # kg; friction; their variation with the seed
 _COLOR, _MARK = np.array([0.30, 0.60, 0.85, 1.0]), np.array([0.95, 0.45, 0.10, 1.0])
 
 
 @dc.dataclass(frozen=True)
 class TrackingResult(TrialResult):
-    """Result of one trial of tracking. `outcome` is "success", "dropped", or the targets reached."""
+    """Result of one trial of tracking. `outcome` is "success", "dropped", or the number of targets."""
 
-    # Targets reached, whether the puck was dropped, mean time to a target, s, and bits of the reached targets
-    # per s of all. None without a target.
+    # Targets reached; whether the puck was dropped; mean time to a reached target, s; and bits of reached
+    # targets per s spent on all. None without a target.
     reached: int
     dropped: bool
     target_time: float | None
@@ -96,7 +96,7 @@ class TrackingTask(FingerTask[TrackingGoal]):
 
 
 def _outline(points: int = 32) -> np.ndarray:
-    """The edges of both faces of the puck."""
+    """Returns points (N, 3) on the edges of both faces of the puck, m in O."""
     angle = np.linspace(0, 2 * np.pi, points, endpoint=False)
     x, y = RADIUS * np.cos(angle), RADIUS * np.sin(angle)
     return np.vstack([np.column_stack([x, y, np.full(points, z)]) for z in (-HEIGHT / 2, HEIGHT / 2)])

@@ -1,4 +1,4 @@
-"""The goal of the trigger: where handle and pad are in the hand, and what the fingers do there."""
+"""The goal of the trigger: where handle and pad are in the hand, and where the fingers touch them."""
 
 import dataclasses as dc
 
@@ -7,7 +7,7 @@ import numpy as np
 from geort_drake.simulation.operators.goal import Goal
 
 RADIUS, LENGTH = 0.018, 0.110  # m, of the handle
-BACK = 0.034  # m, by which its back, two balls of the same radius on the palm, is off its axis
+BACK = 0.034  # m, distance of the handle's axis from its back, two balls of the same radius on the palm
 FINGERS = ("index", "middle", "ring")  # the first presses the pad, the others hold the handle
 
 
@@ -18,12 +18,12 @@ class TriggerGoal(Goal):
     Frames: B the hand base; F a fingertip point. The handle's axis is along y of B.
     """
 
-    trigger: int  # number of the finger that presses the pad
-    # (3,) centre of the handle in B, m; and direction from the palm's side to the fingers' side.
+    trigger: int  # index of the finger that presses the pad
+    # (3,) centre of the handle in B, m; and unit vector from the palm's side to the fingers' side.
     p_BH: np.ndarray
     n_B: np.ndarray
-    # (F, 3) fingertip points in B, m: off handle and pad; and touching the handle, or on the pad as far
-    # down as wanted.
+    # (F, 3) fingertips in B, m: off handle and pad; and touching the handle, or on the pad at its wanted
+    # travel.
     p_BF_open: np.ndarray
     p_BF_touch: np.ndarray
     # Wanted travel of the pad, m.

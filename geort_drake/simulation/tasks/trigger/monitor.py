@@ -1,4 +1,4 @@
-"""Cues pulls of the trigger and judges them: the pad held half way, and the handle still."""
+"""Cues pulls of the trigger and judges them: the pad must be held half way, the handle stay still."""
 
 import dataclasses as dc
 import math
@@ -15,17 +15,17 @@ CUES = ("none", "pull", "release")
 
 @dc.dataclass(frozen=True)
 class TriggerSettings(TaskSettings):
-    """The pulls, and when one counts."""
+    """Number and time of the pulls, and criteria for one to count."""
 
-    # Number of pulls, each of them followed by a release; and how long the pad must stay down, s.
+    # Number of pulls, each followed by a release; and how long the pad must be held, s.
     pulls: float = 5
     hold_time: float = 2.0
-    # Wanted travel of the pad, its tolerance, and what counts as released, m.
+    # Wanted travel of the pad, its tolerance, and the travel below which the pad counts as released, m.
     depth: float = 0.004
     tolerance: float = 0.001
     released: float = 0.001
-    # Time until the stand lets go of the handle, and from then until the handle must keep its place, s. It is
-    # lost once it has moved from there by more than these, m and degrees.
+    # Time until the stand releases the handle, and from then until the handle must keep its pose, s. It is
+    # lost once it has moved from that pose by more than `handle_shift`, m, or `handle_turn`, degrees.
     ready_time: float = 5.0
     settle_time: float = 1.0
     handle_shift: float = 0.010
@@ -39,8 +39,8 @@ class TriggerOutcome(Outcome):
     settings: TriggerSettings
     cue: int = 0  # see `CUES`
     done: int = 0  # pulls that were held and released
-    held_since: float = math.nan  # since when the pad is where it is wanted; NaN: it is not
-    X_WH: RigidTransform | None = None  # the place that the handle keeps
+    held_since: float = math.nan  # when the pad came within tolerance; NaN while it is outside
+    X_WH: RigidTransform | None = None  # pose that the handle must keep
     shift: float = 0.0  # largest motion of the handle
     turn: float = 0.0  # largest turn of the handle, degrees
     is_lost: bool = False
@@ -69,7 +69,7 @@ class TriggerMonitor(TaskMonitor[TriggerOutcome]):
         object_pose (7): X_WH of the handle, qw qx qy qz x y z.
     Output ports:
         cue (1): number of one of `CUES`.
-        travel (1): of the pad, m.
+        travel (1): travel of the pad, m.
         outcome (abstract TriggerOutcome).
     """
 

@@ -1,4 +1,4 @@
-"""Finds where a hand can hold a handle in its palm while the index finger is on a pad."""
+"""Finds where a hand can hold a handle in its palm while its index finger reaches a pad."""
 
 import dataclasses as dc
 
@@ -9,27 +9,27 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
 from geort_drake.simulation.tasks.trigger.goal import BACK, FINGERS, LENGTH, RADIUS, TriggerGoal
 
-PAD_TRAVEL, PAD_WANTED = 0.008, 0.004  # m, of the pad: all, and wanted
+PAD_TRAVEL, PAD_WANTED = 0.008, 0.004  # m, full and wanted travel of the pad
 PAD_HEIGHT = RADIUS + PAD_TRAVEL + 0.002  # m, from the handle's axis to the pad's top at rest
 HOVER = 0.010  # m, gap between a waiting fingertip and handle or pad
-SQUEEZE = 0.020  # m, of fingertips beyond the handle's surface
-_PITCH = 0.045  # m, between fingertips along the handle
-_CLEARANCE = 0.010  # m, by which free play may miss a fingertip's place
-# Places of the handle's axis along the fingers from the hand base, m, and tilts of the fingers' side from
-# straight out of the palm, rad, that are tried.
+SQUEEZE = 0.020  # m, depth of squeezing fingertips below the handle's surface
+_PITCH = 0.045  # m, distance between fingertips along the handle
+_CLEARANCE = 0.010  # m, distance by which free play may miss a fingertip's place
+# Positions of the handle's axis along z of B to try, m, and tilts of its fingers' side from the palm's
+# normal, rad.
 _Z, _TILT = np.arange(-0.06, 0.061, 0.005), np.deg2rad(np.arange(-30, 31, 15))
-# The handle rests on the palm at these distances from its middle, within this, m.
+# The handle rests on the palm at distances ±SUPPORT from its middle, with gaps of at most _REST, m.
 SUPPORT, _REST = 0.04, 0.002
 _LINK_CLEARANCE = 0.001  # m, least gap between handle and links other than fingertips and the palm's
 
 
 @dc.dataclass(frozen=True)
 class TriggerPlan(FingerPlan[TriggerGoal]):
-    """A place of the handle; `q_open` is off handle and pad.
+    """A position of the handle; `q_open` is off handle and pad.
 
     Attributes:
-        q_held: squeezing, with the index finger off the pad.
-        q_pulled: squeezing, the index finger as far inside the pad's end as the others inside the handle.
+        q_held: (n,) posture that squeezes the handle, with the index finger off the pad, rad.
+        q_pulled: (n,) the same, with the index finger SQUEEZE beyond the pad's full travel, rad.
     """
 
     q_held: np.ndarray
@@ -56,13 +56,13 @@ class TriggerPlanner(FingerPlanner[TriggerPlan]):
         return found
 
     def _on_palm(self, z: float) -> np.ndarray | None:
-        """(3,) centre in B of a handle that rests on the palm of the hand, m, or None."""
+        """Returns the centre (3,) in B of a handle that rests on the palm, m, or None."""
         hand, tips = self.hand, self.hand.are_tips
         query = hand.query(hand.default_position, self._context)
         y = hand.fingertips(hand.default_position)[self.fingers[1], 1]
 
         def gap(p_BQ: np.ndarray) -> float:
-            """Distance of the handle's surface at a point of its axis from the palm, m."""
+            """Returns the distance of the handle's surface from the palm at a point of its axis, m."""
             near = [
                 found.distance
                 for found in query.ComputeSignedDistanceToPoint(p_BQ, 0.2)
@@ -84,7 +84,7 @@ class TriggerPlanner(FingerPlanner[TriggerPlan]):
         along = np.outer([self.side * _PITCH, 0.0, -self.side * _PITCH], [0.0, 1.0, 0.0])
 
         def off(*gaps: float) -> np.ndarray:
-            """(3, 3) fingertip points with these gaps, m, to pad and handle."""
+            """Returns fingertips (3, 3) with these gaps, m, to pad and handle."""
             height = np.array([PAD_HEIGHT, RADIUS, RADIUS]) + self.radius + gaps
             return p_BH + along + height[:, None] * n_B
 

@@ -30,15 +30,15 @@ from geort_drake.simulation.tasks.trigger.monitor import (
 from geort_drake.simulation.tasks.trigger.planner import PAD_HEIGHT, PAD_TRAVEL, SUPPORT, TriggerPlanner
 
 _MASS, _PAD_MASS = 0.150, 0.005  # kg
-_FRICTION, _VARIATION = 0.8, 0.2  # of the handle; mass and friction vary by this fraction with the seed
-_PAD = (0.006, 0.018, 0.024)  # m, of the pad: along its travel, along the handle, and across both
+_FRICTION, _VARIATION = 0.8, 0.2  # of the handle; fraction by which mass and friction vary with the seed
+_PAD = (0.006, 0.018, 0.024)  # m, size of the pad: along its travel, along the handle, across both
 _STIFFNESS, _DAMPING = 200.0, 2.0  # N/m and N s/m of the pad; the damping is critical
 _COLOR, _PAD_COLOR = np.array([0.25, 0.26, 0.28, 1.0]), np.array([0.95, 0.45, 0.10, 1.0])
 
 
 @dc.dataclass(frozen=True)
 class TriggerResult(TrialResult):
-    """Result of one trial of the trigger. `outcome` is "success", "handle lost", or the pulls done."""
+    """Result of one trial of the trigger. `outcome` is "success", "handle lost", or the number of pulls."""
 
     # Pulls that were held and released; largest motion of the handle, m, and its largest turn, degrees.
     pulls: int
@@ -64,7 +64,7 @@ class TriggerTask(FingerTask[TriggerGoal]):
     ) -> Handled:
         """Adds the handle with its pad on a spring.
 
-        The handle's frame: x towards the fingers, y along its axis, as in B.
+        The handle's frame has x towards the fingers and y along its axis, as in B.
         """
         mass_factor, friction_factor = rng.uniform(1 - _VARIATION, 1 + _VARIATION, 2)
         model = plant.AddModelInstance("handle")
@@ -76,8 +76,8 @@ class TriggerTask(FingerTask[TriggerGoal]):
         X_WH = X_WB @ RigidTransform(R_BH, goal.p_BH)
         plant.SetDefaultFloatingBaseBodyPose(handle, X_WH)
         upright = RotationMatrix.MakeXRotation(np.pi / 2)
-        # A cylinder touches a palm in one point, which rocks it: it stands on two spheres, and is 0.2 mm
-        # smaller.
+        # A cylinder would rock on its single contact point with the palm. The handle rests on two spheres
+        # instead, and its cylinder is 0.2 mm smaller.
         solid = Cylinder(RADIUS - 0.0002, LENGTH)
         plant.RegisterCollisionGeometry(handle, RigidTransform(upright, [0, 0, 0]), solid, "solid", friction)
         for end in (-SUPPORT, SUPPORT):
