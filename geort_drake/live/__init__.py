@@ -1,1 +1,1 @@
-"""Live use: transports, session, checks of live input; `web`, the page's server."""
+"""Live use: transports, sessions, and checks of live input; `web` serves the page."""

@@ -1,4 +1,4 @@
-"""Robot hands and arms on LCM: their joints, Drake's messages for them, and the newest message received.
+"""Robot hands and arms on LCM: their joints, Drake's messages for them, and their newest messages.
 
 Drake defines the message types in its folder `lcmtypes/`.
 """
@@ -21,7 +21,7 @@ from geort_drake.simulation.following import JointGroup
 
 @dc.dataclass(frozen=True)
 class JointStatus:
-    """The state of a device's n joints: (n,) rad, rad/s, and the command that they follow, rad."""
+    """State of a device's n joints: positions, rad, velocities, rad/s, and commanded positions, rad; (n,)."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -33,14 +33,14 @@ class Device:
     """A hand or an arm of n joints that takes position commands and reports its state.
 
     Attributes:
-        name: for error messages.
-        joints: names, in the order of the messages.
+        name: name in error messages.
+        joints: names of the joints, in the order of the messages.
         command_channel, status_channel: LCM channels.
         command_type, status_type: Drake's message classes.
-        count_field: of the command, the number of its positions, which are in `joint_position`.
-        status_fields: positions, velocities and commanded positions in a status.
+        count_field: field of a command with the number of positions; its positions are in `joint_position`.
+        status_fields: fields of a status with positions, velocities and commanded positions.
         command_constants, status_constants: other fields and their values; a received command must have
-            them.
+            these values.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Device:
     status_constants: Mapping[str, float] = dc.field(default_factory=dict)
 
     def encode_command(self, time: float, position: np.ndarray) -> bytes:
-        """Returns the message that commands positions (n,), rad, at a time, s."""
+        """Returns the message that commands positions (n,), rad, at `time`, s."""
         fields = {self.count_field: len(position), "joint_position": position.tolist()}
         return self._encode(self.command_type, time, fields | dict(self.command_constants))
 
@@ -73,9 +73,9 @@ class Device:
         return self._joint_values(command, "joint_position")
 
     def encode_status(self, time: float, status: JointStatus) -> bytes:
-        """Returns the status message of a time, s. Fields that are not simulated are zero."""
+        """Returns the status message at `time`, s. Fields that are not simulated are zero."""
         n = len(status.position)
-        # All lists in a status have one number per joint.
+        # Each list in a status has one number per joint.
         empty = self.status_type()
         zeros = {name: [0.0] * n for name in empty.__slots__ if isinstance(getattr(empty, name), list)}
         parts = (status.position, status.velocity, status.commanded)
@@ -116,7 +116,7 @@ class Device:
         return message.encode()
 
     def _decode(self, kind: type, message: bytes, size: int) -> Any:
-        # The size is checked first, because a decoder allocates whatever the message asks for.
+        # Checks the size first, because the decoder allocates whatever the message asks for.
         if len(message) != size:
             raise LiveError(
                 f"{self.name}: {kind.__name__} of {len(message)} bytes; one for {len(self.joints)} joints "
@@ -161,14 +161,14 @@ PANDA = Device(
 
 
 def require_hand_messages(description: HandDescription) -> None:
-    """Checks by its name that Drake has messages for a hand; LEAP's joints are named like the Allegro's.
+    """Checks that Drake has messages for a hand, by its name: LEAP's joints are named like the Allegro's.
 
     Raises:
-        HandError: the hand is no Allegro hand.
+        HandError: the hand is not an Allegro hand.
     """
     if not description.name.startswith("allegro"):
         raise HandError(
-            f"hand '{description.name}' has no LCM messages; those whose name begins with allegro have: "
+            f"hand '{description.name}' has no LCM messages; only hands whose name begins with allegro have: "
             "lcmt_allegro_command and lcmt_allegro_status"
         )
 
@@ -179,13 +179,13 @@ class LcmInbox:
     Attributes:
         newest: channel → decoded contents of its newest usable message.
         arrived: channel → when that message arrived, s.
-        refused: how many messages could not be used.
+        refused: number of messages that could not be used.
         last_refusal: why the last of them could not be used.
 
     Args:
         lcm: the bus.
-        decoders: channel → function that decodes its messages, or raises LiveError.
-        clock: monotonic, s.
+        decoders: channel → function that decodes its messages or raises LiveError.
+        clock: monotonic clock, s.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class LcmInbox:
             lcm.Subscribe(channel, lambda message, c=channel, d=decode: self._keep(c, d, message))
 
     def fetch(self) -> None:
-        """Reads what has arrived. LCM keeps one message per channel until then, so fetch often."""
+        """Reads the messages that have arrived. LCM keeps only one per channel, so call this often."""
         self._lcm.HandleSubscriptions(0)
 
     def _keep(self, channel: str, decode: Callable[[bytes], Any], message: bytes) -> None:

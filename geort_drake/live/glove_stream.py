@@ -17,11 +17,11 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.people.recording import SIDES, Recording
 from geort_drake.systems.port_values import vector_to_pose
 
-# Messages are read every POLL_PERIOD, s, a little before the loop's updates, so that these use the newest.
+# Messages are read every POLL_PERIOD, s, slightly before the loop's updates, which thus use the newest ones.
 POLL_PERIOD, _AHEAD = 0.002, 1e-4
-# Clocks that differ by less are taken for this machine's monotonic clock, s.
+# A sender's clock that differs by less is assumed to be this machine's monotonic clock, s.
 _SAME_CLOCK_S = 1.0
-# A frame is late if it took this much longer than the fastest one, s.
+# A frame that took this much longer than the fastest one is late, s.
 MAX_LATENESS_S = 0.2
 # The fastest transfer is assumed to slow down by this, s/s, because clocks drift by up to 100 ppm each.
 _DRIFT = 2e-4
@@ -32,41 +32,41 @@ _CHECKS = (
     anatomy.check_frame,
     anatomy.check_bones,
 )
-# If the thumb's MCP joint is farther behind the palm, the hand is of the other side, m. No real hand's was;
-# most mirrored ones' are.
+# A hand whose thumb's MCP joint is farther behind the palm is of the other side, m. No recorded hand's was;
+# most mirrored hands' are.
 _BEHIND_M = 0.005
 
-# Places in the state. OFFSET is arrival minus stamp of the fastest frame; ARRIVED is of the newest frame.
+# Indices in the state. OFFSET is arrival minus stamp of the fastest frame; ARRIVED is the newest arrival.
 _KEYPOINTS, _POSE = slice(0, 63), slice(63, 70)
 _VALID, _STAMP, _SENT, _LATENESS, _OFFSET, _ARRIVED = range(70, 76)
 _AT_START = (*np.zeros(63), 1.0, *np.zeros(6), 0.0, 0.0, math.nan, 0.0, math.inf, math.nan)
 
 
 class GloveStream(LeafSystem):
-    """Outputs the newest frame that a glove sent, until the next one arrives.
+    """Outputs the newest frame received from a glove until the next one arrives.
 
     Messages are read in a discrete update every `POLL_PERIOD`. A message that cannot be used is dropped and
     counted.
 
     Output ports:
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
-        wrist_pose (abstract RigidTransform): X_WH in the tracker's world W; the identity without one.
+        wrist_pose (abstract RigidTransform): X_WH in the tracker's world W; identity without a tracker.
         valid (1): 1 while the hand is tracked; 0 before the first frame, while the glove has lost the hand,
             and after a frame that came over `MAX_LATENESS_S` late.
-        stamp (1): when the keypoints were measured, s, on the sender's clock; when they arrived, on this
-            machine's clock, if the message has no time.
+        stamp (1): when the keypoints were measured, s, on the sender's clock; if the message has no time,
+            when it arrived, on this machine's clock.
         sent (1): when the keypoints were measured, s, on this machine's clock: the stamp if the clocks agree,
-            else when they arrived. NaN before the first frame.
-        lateness (1): how much longer the newest frame took than the fastest one, s. A delay that all frames
-            have had cannot be told from a difference of the clocks.
+            otherwise the arrival. NaN before the first frame.
+        lateness (1): how much longer the newest frame took than the fastest one, s. A delay common to all
+            frames cannot be told from a difference between the clocks.
 
     State: the values of the ports, the clocks' offset and the last arrival.
 
     Attributes:
-        received: how many frames were used.
-        late: how many of them came late.
-        repaired: how many of them had a wrist quaternion that was scaled to norm 1.
-        refused: how many messages could not be used.
+        received: number of frames used.
+        late: number of those that came late.
+        repaired: number of those whose wrist quaternion was scaled to norm 1.
+        refused: number of messages that could not be used.
         last_refusal: why the last of them could not be used.
         clock_offset: arrival of the fastest frame on this machine's clock minus its stamp, s; NaN before the
             first frame.
@@ -165,7 +165,7 @@ class GloveStream(LeafSystem):
         value = self._value(context).copy()
         sent = stamp if abs(arrived - stamp) < _SAME_CLOCK_S else arrived
         offset, arrived_before = value[_OFFSET], value[_ARRIVED]
-        if stamp < value[_STAMP]:  # the sender's clock was set back, or the sender is another one
+        if stamp < value[_STAMP]:  # the sender's clock was set back, or there is another sender
             offset = math.inf
         if not math.isnan(arrived_before):
             offset += _DRIFT * (arrived - arrived_before)
@@ -183,7 +183,7 @@ class GloveStream(LeafSystem):
 
 
 def require_hand(points: np.ndarray, side: str) -> None:
-    """Checks that keypoints p_HK (T, 21, 3), m, are of a hand of that side, before anything follows them.
+    """Checks that keypoints p_HK (T, 21, 3), m, show a hand of `side`, before anything follows them.
 
     Raises:
         RecordingError: the keypoints are no hand, or not in the expected frame, order or unit.
@@ -193,7 +193,7 @@ def require_hand(points: np.ndarray, side: str) -> None:
     hand = Recording(t, points, np.ones(len(t), bool), metadata={"side": side})
     for check in _CHECKS:
         refuse("the glove", check(hand))
-    # The checks of recordings use the way the fingers bend, but straight fingers bend backwards for seconds.
+    # The check of recordings, by the direction of bending, fails for straight fingers, which bend backwards.
     x = float(np.median(points[:, FINGER_KEYPOINTS["thumb"][1], 0]))
     if x < -_BEHIND_M:
         other = SIDES[1 - SIDES.index(side)]

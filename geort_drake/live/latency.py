@@ -1,4 +1,4 @@
-"""Measures the time from a hand's motion to the robot's command, and to the status that confirms it."""
+"""Measures the time from a hand's motion to the robot's command and to the status that confirms it."""
 
 import dataclasses as dc
 import itertools
@@ -37,17 +37,17 @@ class Latency:
 class LatencyMeter(LeafSystem):
     """Measures how long commands and their confirmations take, on this machine's clock.
 
-    A sample belongs to the first command after new keypoints, if it differs from the command before it.
+    It takes a sample for the first command after new keypoints, if that differs from the command before it.
 
     Input ports:
-        sent (1): when the newest keypoints were measured, s, on the clock; NaN before the first.
-        command (2n): joint positions (rad), then velocities (rad/s), as they are sent.
-        echo (n), optional: the positions that the robot reports to follow, rad.
+        sent (1): when the newest keypoints were measured, s, on `clock`; NaN before the first.
+        command (2n): joint positions (rad), then velocities (rad/s), as sent.
+        echo (n), optional: commanded positions that the robot reports, rad.
 
     Args:
         num_joints: n.
         period: time between commands, s.
-        clock: that of `sent`.
+        clock: clock of `sent`, s.
     """
 
     def __init__(self, num_joints: int, period: float, clock: Callable[[], float] = time.monotonic):
@@ -65,7 +65,7 @@ class LatencyMeter(LeafSystem):
         self.DeclarePeriodicPublishEvent(POLL_PERIOD, 2 * AFTER, self._note_echo)
 
     def to_command(self, newest: int = _MAX_SAMPLES) -> Latency:
-        """Returns the time from keypoints to command, of the newest samples."""
+        """Returns the time from keypoints to command, over the `newest` samples."""
         return Latency.of([*itertools.islice(reversed(self._to_command), newest)])
 
     def to_echo(self) -> Latency:

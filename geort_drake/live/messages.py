@@ -1,4 +1,4 @@
-"""Messages from gloves: the package's own JSON format, and skeletons from MANUS bridges.
+"""Decodes messages from gloves: the package's own JSON format, and skeletons from MANUS bridges.
 
 The package's own format is UTF-8 JSON of at most 64 KiB with exactly these fields:
 
@@ -11,7 +11,7 @@ The package's own format is UTF-8 JSON of at most 64 KiB with exactly these fiel
     X_WH        [qw, qx, qy, qz, x, y, z], the wrist's pose in the tracker's world; null without a tracker;
                 a norm within 0.2 of 1 is scaled to 1
 
-MANUS bridges send 25 nodes, numbered as in recordings, without a time, so that of arrival counts:
+MANUS bridges send 25 nodes, numbered as in recordings, without a time; the time of arrival replaces it:
 
     text        "ID,x,y,z,qx,qy,qz,qw,x,y,z,…": a glove's serial number and 25 poses, m; or two gloves in a
                 row, of which --glove-id selects one. Pushed to port 8000 by BiDex's client,
@@ -37,12 +37,12 @@ from geort_drake.people.repairs import NORM_REPAIRABLE, NORM_TOLERANCE
 
 FORMAT, VERSION = "geort_drake.glove", 1
 _FIELDS = {"format", "version", "unit", "side", "time", "p_HK", "X_WH"}
-# Our messages take 2 kB; MANUS bridges add sensors and joint angles, up to 10 kB.
+# The package's own messages take 2 kB; those of MANUS bridges, with sensors and joint angles, up to 10 kB.
 MAX_BYTES = 65_536
-# Larger coordinates are refused, m.
+# Largest accepted coordinate, m.
 _MAX_DISTANCE_M = 100.0
-_TEXT_VALUES = 1 + 7 * NODE_COUNT  # of one glove in the text form
-_ERGONOMICS_VALUES = (20, 40)  # of one or two hands' joint angles, which bridges can send instead
+_TEXT_VALUES = 1 + 7 * NODE_COUNT  # number of values of one glove in the text form
+_ERGONOMICS_VALUES = (20, 40)  # number of joint angles of one or two hands, which bridges can send instead
 
 
 @dc.dataclass(frozen=True, eq=False)
@@ -51,9 +51,9 @@ class GloveFrame:
 
     Attributes:
         side: "right" or "left"; a left hand is given as its mirror image, as in `Recording`.
-        time: s on the sender's clock; None if the message has no time.
-        p_HK: (21, 3), m, wrist frame H; None while the glove has lost the hand.
-        X_WH: (7,) qw qx qy qz x y z, m; None without a tracker.
+        time: time of measurement, s, on the sender's clock; None if the message has none.
+        p_HK: (21, 3) keypoints in the wrist frame H, m; None while the glove has lost the hand.
+        X_WH: (7,) wrist pose, qw qx qy qz x y z, m; None without a tracker.
         repaired: whether the quaternion of X_WH was scaled to norm 1.
     """
 
@@ -65,7 +65,7 @@ class GloveFrame:
 
 
 def encode_frame(frame: GloveFrame) -> bytes:
-    """Returns a frame that has a time as a message of our own format."""
+    """Encodes a frame with a time as a message in the package's own format."""
     fields = {
         "format": FORMAT,
         "version": VERSION,
@@ -79,11 +79,11 @@ def encode_frame(frame: GloveFrame) -> bytes:
 
 
 def decode(message: bytes, side: str, glove_id: str | None = None) -> GloveFrame | None:
-    """Returns the frame in a message of any known form, or None if it is about another glove.
+    """Returns the frame in a message of any known form; None if it is from another glove.
 
     Args:
-        message: its bytes; the form is recognised from them.
-        side: of the robot's hand.
+        message: bytes of the message, from which its form is recognised.
+        side: "right" or "left", of the robot's hand.
         glove_id: serial number of the MANUS glove to read, if there are several.
 
     Raises:
@@ -175,13 +175,13 @@ def _decode_manus_glove(fields: dict[str, Any]) -> GloveFrame:
 
 
 def frame_of_points(p_WK: np.ndarray, side: str, time: float | None = None) -> GloveFrame:
-    """Returns the frame of keypoints (21, 3), m, in any frame W; the keypoints give the wrist's pose.
+    """Returns the frame of keypoints p_WK (21, 3), m, in any W; the wrist's pose is derived from them.
 
     Raises:
         LiveError: a position is not finite or too far away, or wrist and knuckles span no plane.
     """
     p_VK = mirrored(p_WK) if side == "left" else p_WK
-    # NaN fails the comparison.
+    # With NaN, the comparison is false.
     p_HK = to_wrist_frame(p_VK) if np.abs(p_WK).max() <= _MAX_DISTANCE_M else np.full((1,), np.nan)
     if not np.isfinite(p_HK).all():
         raise LiveError(
@@ -211,7 +211,7 @@ def _side_of(fields: dict[str, Any]) -> str:
 
 
 def _numbers(name: str, value: Any, shape: tuple[int, ...], largest: float = np.inf) -> np.ndarray:
-    """Returns a field's finite numbers, none larger than `largest`."""
+    """Checks that a field holds finite numbers of `shape`, at most `largest`, and returns them."""
     try:
         array = np.asarray(value)
     except ValueError:  # rows of different lengths

@@ -21,7 +21,7 @@ from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.transports import open_lcm, wait_for
 from geort_drake.live.watchdog import AFTER
 
-# A measured joint may be so far outside its limits, rad; farther, the robot is another one.
+# Largest distance of a measured joint from its limits, rad; beyond it, the robot is not the model's.
 _TOLERANCE = 0.1
 
 
@@ -33,22 +33,22 @@ class RobotLink(LeafSystem):
 
     Input ports:
         hand_desired_state (32), arm_desired_state (14): joint positions (rad), which are sent, then
-            velocities (rad/s), in the order of `hand` and `arm`.
+            velocities (rad/s), which are not, in the order of `hand` and `arm`.
     Output ports:
         hand_state (32), arm_state (14): measured positions (rad), then velocities (rad/s), in the same order.
-        hand_commanded (16): the command that the hand reports to follow, rad, in the order of `hand`.
+        hand_commanded (16): commanded positions that the hand reports, rad, in the order of `hand`.
         All are NaN before the first status.
 
     State: the values of the output ports, and the arm's reported command (7).
 
     Attributes:
-        inbox: counts the statuses that could not be used.
+        inbox: newest statuses, and the number of statuses that could not be used.
 
     Args:
-        url: of the LCM bus.
+        url: URL of the LCM bus.
         hand, arm: the model's joints.
         period: time between commands, s.
-        clock: monotonic, s.
+        clock: monotonic clock, s.
 
     Raises:
         HandError: the model's joints are not those of an Allegro hand and a Panda.
@@ -74,10 +74,10 @@ class RobotLink(LeafSystem):
         self.DeclarePeriodicPublishEvent(period, 2 * AFTER, self._publish)
 
     def handshake(self, timeout_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Waits for the robot's first statuses and checks that it is the model's.
+        """Waits for the robot's first statuses and checks that they fit the model.
 
         Returns:
-            Positions of hand (16,) and arm (7,), rad, in the order of the ports, clamped to the limits.
+            Positions of hand (16,) and arm (7,), rad, in the order of the ports, clamped to their limits.
 
         Raises:
             LiveError: no status came in time, or a joint is far outside its limits.
@@ -103,7 +103,7 @@ class RobotLink(LeafSystem):
         return positions[0], positions[1]
 
     def require_alive(self, silence_s: float) -> None:
-        """Raises LiveError if hand or arm have sent no usable status for so long, s."""
+        """Raises LiveError if hand or arm has sent no usable status for `silence_s`, s."""
         for device in (ALLEGRO, PANDA):
             silent = self._clock() - self.inbox.arrived[device.status_channel]
             if silent > silence_s:

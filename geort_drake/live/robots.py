@@ -37,7 +37,7 @@ STATUS_PERIOD = 0.004
 
 
 class SimulatedRobot:
-    """Simulates a scenario's arm, hand and task; the scenario's seed places what is handled.
+    """Simulates a scenario's arm, hand and task; the scenario's seed places the object.
 
     Input ports of `diagram`:
         hand_desired_state (2n), arm_desired_state (2m): joint positions (rad), then velocities (rad/s),
@@ -48,18 +48,19 @@ class SimulatedRobot:
         target_pose (7): see `Target`; only if the task has one.
 
     Attributes:
-        diagram: no subclass in Python, which would never be freed (drake#24162), nor its plant.
-        hand, arm: their joints.
-        stage: of the task.
+        diagram: the simulation. It is an attribute, not a base class, because Drake never frees a subclass in
+            Python, nor its plant (drake#24162).
+        hand, arm: the joints of each.
+        stage: the task's stage.
 
     Args:
         scenario: task, arm and simulation settings.
-        description: of the hand.
-        model: of the robot.
+        description: the hand's description.
+        model: the robot's model.
         meshcat: viewer that shows the scene, if any.
 
     Raises:
-        ScenarioError, HandError: scenario and models do not fit.
+        ScenarioError, HandError: scenario and models do not fit together.
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class SimulatedRobot:
         self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
 
     def initialize(self, root: Context) -> None:
-        """Sets what only a context can hold; call it before the simulation starts."""
+        """Sets values that only a context can hold; call it before the simulation starts."""
         self.stage.scene.initialize(root)
         if self._fixed_base:
             self.stage.scene.lock_arm(root)
@@ -100,7 +101,7 @@ def open_meshcat() -> Meshcat:
 
 
 class JointServer(LeafSystem):
-    """Stands for a device's driver: follows the newest usable command and publishes the joints' state.
+    """Replaces a device's driver: follows the newest usable command and publishes the joints' state.
 
     Commands hold positions only, so the desired velocities are zero and the joints lag.
 
@@ -109,19 +110,19 @@ class JointServer(LeafSystem):
     Output port:
         desired_state (2n): joint positions (rad), then velocities (rad/s), in the same order.
 
-    State: the commanded positions (n), rad; before the first command, where the joints start.
+    State: the commanded positions (n), rad; before the first command, the initial positions.
 
     Attributes:
-        inbox: the newest command; malformed ones and those that are not finite are refused.
+        inbox: the newest command; malformed or non-finite commands are refused.
 
     Args:
-        device: whose messages are used.
+        device: device whose messages are used.
         lcm: the bus.
         group: the model's joints; commands are clamped to their limits.
-        clock: for the time in statuses, s.
+        clock: clock of the time in statuses, s.
 
     Raises:
-        HandError: the device has other joints than the model.
+        HandError: device and model have different joints.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ def make_stand_in(scenario: Scenario, url: str, meshcat: Meshcat | None = None) 
     """Builds a diagram that simulates the scenario's robot behind LCM; run it in real time.
 
     Raises:
-        ScenarioError, HandError: scenario and models do not fit, or are no Allegro hand and Panda.
+        ScenarioError, HandError: scenario and models do not fit, or are not an Allegro hand and a Panda arm.
         LiveError: the URL is malformed.
     """
     description = load_hand(scenario.hand)

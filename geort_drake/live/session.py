@@ -23,7 +23,7 @@ from geort_drake.systems.retargeting_status import LEARNING, LIMITED, TRACKING, 
 HOLD_S = 0.5
 # How often keys, robot and state are checked, s.
 _STEP_S = 0.02
-# A diagram that is later than this, s, continues from where it is instead of catching up.
+# A diagram that lags more than this, s, continues at the present time instead of catching up.
 _MAX_LATENESS_S = 0.05
 
 
@@ -32,9 +32,9 @@ class SessionReport:
     """What happened in a session.
 
     Attributes:
-        duration: s.
-        states: how long the fingers were in each state, s.
-        late: how often the loop could not keep up and paused its simulated time.
+        duration: duration of the session, s.
+        states: state → how long the fingers were in it, s.
+        late: how often the loop lagged and paused its simulated time.
     """
 
     duration: float
@@ -46,14 +46,14 @@ class Control(Protocol):
     """Engages and disengages the person."""
 
     def step(self, root: Context, engaged: bool) -> bool:
-        """Returns whether the person shall be engaged; called at every step with the diagram's context."""
+        """Returns whether to engage the person; called at every step with the diagram's context."""
 
 
 class EnterKey:
     """Counts presses of Enter in the terminal, or newlines from a pipe.
 
     Args:
-        stream: the file descriptor to read, without a buffer.
+        stream: file descriptor to read without buffering; None for stdin.
     """
 
     def __init__(self, stream: int | None = None):
@@ -61,7 +61,7 @@ class EnterKey:
         self._ended = False
 
     def step(self, root: Context, engaged: bool) -> bool:
-        """Toggles; at the end of the stream the person is disengaged."""
+        """Toggles at each press; disengages at the end of the stream."""
         if self._ended or (presses := self.presses()) == 0:
             return engaged
         self._ended = presses is None
@@ -85,16 +85,16 @@ def run_session(
     require_robot: Callable[[], None] = lambda: None,
     on_state: Callable[[float, str], None] = lambda time, state: None,
 ) -> SessionReport:
-    """Runs the loop in real time until `stop()` or until the duration is over, and then holds the robot.
+    """Runs the loop in real time until `stop()` or for `duration`, and then holds the robot.
 
     Args:
         loop: the diagram of teleoperation.
         engaged: whether the person is engaged from the start.
-        control: changes that; None for none.
-        duration: s.
-        stop: whether the session shall end.
+        control: engages and disengages the person; None for nothing.
+        duration: longest duration, s.
+        stop: returns whether to end the session.
         require_robot: called after every step; raises if the robot is lost.
-        on_state: called with the time (s) and the state when the state changes; a limit does not count.
+        on_state: called with the time (s) and the state when the state changes, except to `LIMITED`.
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
@@ -116,7 +116,7 @@ def run_session(
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
         states[state] = states.get(state, 0.0) + _STEP_S
-        # A fast hand reaches its limits many times a second, which would flood the user.
+        # A fast hand reaches its limits many times a second; showing that would flood the user.
         usual = last if last in (LEARNING, UNUSUAL) else TRACKING
         shown = usual if state == LIMITED else state
         if shown != last:
@@ -140,7 +140,7 @@ def run_in_real_time(
     """Advances a simulator in steps of `period`, s, at the clock's speed, while `go_on()`.
 
     Returns:
-        How often it was late and paused its simulated time.
+        How often it lagged and paused its simulated time.
     """
     late = 0
     start = simulator.get_context().get_time()
@@ -165,10 +165,10 @@ def play(
 ) -> int:
     """Sends a recording's frames when they are due, as a glove does, until its end or until `stop` is set.
 
-    The time in a message is that of sending, so late frames do not appear punctual.
+    Messages carry the time of sending, so that late frames do not appear punctual.
 
     Returns:
-        How many frames were sent.
+        The number of frames sent.
     """
     start = clock()
     sent = 0

@@ -30,7 +30,7 @@ HELD_LATE = "held: the glove's frames come late"
 
 @dc.dataclass(frozen=True)
 class Teleoperation:
-    """The diagram of teleoperation and the systems in it that report something."""
+    """The diagram of teleoperation, and the systems in it that sessions read."""
 
     diagram: Diagram
     glove: LeafSystem
@@ -43,7 +43,7 @@ class Teleoperation:
     meter: LatencyMeter | None
 
     def engage(self, root: Context, engaged: bool) -> None:
-        """Makes the robot follow the person, or brake and hold, in a context of the diagram."""
+        """Makes the robot follow the person, or brake and hold, in a root context of the diagram."""
         self.diagram.GetInputPort("engaged").FixValue(root, [float(engaged)])
 
     def following(self, root: Context) -> bool:
@@ -62,7 +62,7 @@ class Teleoperation:
         return monitor.outcome(monitor.GetMyContextFromRoot(root))
 
     def restart(self, root: Context) -> None:
-        """Restarts the simulation's task now."""
+        """Restarts the simulation's task at the present time."""
         if self.simulation is not None:
             self.simulation.stage.restart(root)
 
@@ -74,7 +74,7 @@ class Teleoperation:
         return names[int(port.Eval(port.get_system().GetMyContextFromRoot(root))[0])]
 
     def state(self, root: Context) -> str:
-        """Returns what the fingers do; or, if they follow, why the policy or the arm is held, if it is."""
+        """Returns the state of the fingers; if they follow, that of a failed policy or held arm, if any."""
         state = _eval(self.watchdog, "state", root)
         if state == HELD_LOST and self.glove.HasOutputPort("lateness"):
             return HELD_LATE if _eval(self.glove, "lateness", root)[0] > MAX_LATENESS_S else state
@@ -106,15 +106,15 @@ def make_teleoperation(
 
     Args:
         scenario: settings of retargeting, correction and arm.
-        description: of the robot's hand.
-        model: of the robot.
-        retarget: a `Retargeter`, or anything with its `joint_names` and its call.
+        description: description of the robot's hand.
+        model: model of the robot.
+        retarget: a `Retargeter`, or a similar callable with `joint_names`.
         glove: `GloveStream`, or `GloveReplay`, which has no stamps.
         robot: `RobotLink`, `SimulatedRobot`, or a system with the link's ports.
         start: present positions of hand (n,) and arm (m,), rad, in the model's order.
         relax_after: time for which a lost hand is held before it relaxes, s.
-        recorder: records the glove's outputs, if given; the hand is lost while the person is disengaged.
-        add_view: adds systems that show the robot.
+        recorder: records the glove's outputs, if given; records the hand as lost while disengaged.
+        add_view: function that adds systems to show the robot.
 
     Raises:
         HandError: the retargeter and the robot move different joints.

@@ -1,4 +1,4 @@
-"""Byte messages over ZeroMQ and LCM: addresses, receivers and senders.
+"""Receivers and senders of byte messages over ZeroMQ and LCM, by address:
 
     sub+tcp://HOST:PORT     ZeroMQ, subscribes to a publisher, whose address is pub+tcp://…
     pull+tcp://HOST:PORT    ZeroMQ, pulls from a pusher, as most MANUS bridges are: push+tcp://…
@@ -21,7 +21,7 @@ from pydrake.lcm import DrakeLcm
 from geort_drake.errors import LiveError
 from geort_drake.live.messages import MAX_BYTES
 
-# LCM's default group and port; ttl=0 keeps what is sent on this machine.
+# LCM's default group and port; ttl=0 keeps sent messages on this machine.
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
 GLOVE_CHANNEL = "GEORT_GLOVE"
 
@@ -29,14 +29,14 @@ _RECEIVERS, _SENDERS = ("sub", "pull"), ("pub", "push")
 _ROUTES = Path("/proc/net/route")
 _ROUTE_IS_UP = 1  # flag in that table
 
-_MAX_AT_ONCE = 100  # messages read in one call, so that a flood cannot stop a loop
+_MAX_AT_ONCE = 100  # most messages read in one call, so that a flood cannot block a loop
 
 
 class Receiver(Protocol):
     """Receives messages."""
 
     def drain(self) -> list[bytes]:
-        """Returns what has arrived since the last call, oldest first; does not wait."""
+        """Returns the messages since the last call, oldest first; does not wait."""
 
     def close(self) -> None: ...
 
@@ -70,12 +70,12 @@ def open_sender(address: str) -> Sender:
 
 
 def is_address(text: str) -> bool:
-    """Returns whether a glove's source looks like an address rather than a file."""
+    """Returns whether the name of a glove's source looks like an address rather than a file."""
     return "://" in text or text.partition("+")[0] in (*_RECEIVERS, "lcm")
 
 
 def split_address(address: str, patterns: tuple[str, ...] = ()) -> tuple[str, str]:
-    """Splits an address into its pattern, which is lcm or one of `patterns`, and its endpoint.
+    """Splits an address into pattern and endpoint; the pattern is lcm or one of `patterns`.
 
     Raises:
         LiveError: the address is malformed, or has another pattern.
@@ -91,7 +91,7 @@ def split_address(address: str, patterns: tuple[str, ...] = ()) -> tuple[str, st
 
 
 def _check_lcm_url(url: str) -> None:
-    """Raises LiveError unless LCM can use a URL. LCM itself accepts any, and then loses all messages."""
+    """Raises LiveError unless LCM can use the URL. LCM itself accepts any, but loses all messages."""
     match = re.fullmatch(r"udpm://([\d.]+):(\d{1,5})\?ttl=\d{1,3}", url)
     try:
         good = match is not None and ipaddress.IPv4Address(match[1]).is_multicast and int(match[2]) < 65536
@@ -111,13 +111,13 @@ def is_local(address: str) -> bool:
 
 
 def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
-    """Returns whether an LCM URL's group is routed to a network, so that others' messages arrive, too.
+    """Returns whether other machines' messages arrive: whether an LCM URL's group is routed to a network.
 
     `ttl=0` limits only what this machine sends. The result is True if the routes are unknown.
 
     Args:
         url: LCM URL.
-        routes: Linux' table of IPv4 routes.
+        routes: file with Linux's table of IPv4 routes.
     """
     match = re.match(r"udpm://([\d.]+):", url)
     if match is None or not routes.exists():
@@ -134,7 +134,7 @@ def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
 
 
 def open_lcm(url: str) -> DrakeLcm:
-    """Returns an LCM bus that this program shares with nobody.
+    """Returns a new LCM bus, not shared with other parts of the program.
 
     Raises:
         LiveError: the URL is malformed.
@@ -144,7 +144,7 @@ def open_lcm(url: str) -> DrakeLcm:
 
 
 class LcmReceiver:
-    """Receives messages on the glove's channel. LCM keeps one until it is read, so drain often."""
+    """Receives messages on the glove's channel. LCM keeps only one unread message, so drain often."""
 
     def __init__(self, url: str):
         self._lcm = open_lcm(url)
@@ -175,7 +175,7 @@ class LcmSender:
 
 
 class _ZmqSocket:
-    """A socket that queues little, accepts no large messages and never waits to close."""
+    """A ZeroMQ socket with short queues and a size limit that closes without waiting."""
 
     def __init__(self, pattern: str):
         try:
@@ -187,7 +187,7 @@ class _ZmqSocket:
         self._socket.setsockopt(self._zmq.LINGER, 0)
         self._socket.setsockopt(self._zmq.RCVHWM, _MAX_AT_ONCE)
         self._socket.setsockopt(self._zmq.SNDHWM, 2)
-        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MAX_BYTES)  # who sends more is disconnected
+        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MAX_BYTES)  # disconnects a peer that sends more
 
     def _open(self, method: Callable[[str], Any], endpoint: str, failure: str) -> None:
         try:
@@ -202,7 +202,7 @@ class _ZmqSocket:
 
 
 class ZmqReceiver(_ZmqSocket):
-    """A SUB or PULL socket that connects, now or when the sender starts."""
+    """A SUB or PULL socket that connects to a sender, at once or when the sender starts."""
 
     def __init__(self, pattern: str, endpoint: str):
         super().__init__(pattern)
@@ -214,7 +214,7 @@ class ZmqReceiver(_ZmqSocket):
         messages: list[bytes] = []
         try:
             while len(messages) < _MAX_AT_ONCE:
-                # The last part of a multipart message is the payload; those before it are topics.
+                # The last part of a multipart message is the payload; earlier parts are topics.
                 messages.append(self._socket.recv_multipart(self._zmq.NOBLOCK)[-1])
         except self._zmq.Again:
             pass
@@ -230,7 +230,7 @@ class ZmqSender(_ZmqSocket):
 
     @property
     def endpoint(self) -> str:
-        """The endpoint, with the port that the system chose for port 0."""
+        """The endpoint; for port 0, with the port that the system chose."""
         return self._socket.last_endpoint.decode()
 
     def send(self, message: bytes) -> None:
@@ -244,7 +244,7 @@ def wait_for(poll: Callable[[], Any], timeout_s: float, message: Callable[[], st
     """Returns the first result of `poll` that is not None.
 
     Raises:
-        LiveError: with `message()`, if there is none in time.
+        LiveError: there is none within `timeout_s`; its text is `message()`.
     """
     deadline = time.monotonic() + timeout_s
     while True:

@@ -11,7 +11,7 @@ from geort_drake.systems.glove_checks import FROZEN
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_status import FOLLOWED, RetargetingStatus
 
-# The watchdog updates this long after the retargeting, s; commands are sent later still.
+# Delay of the watchdog's update after the retargeting's, s; commands are sent even later.
 AFTER = 1e-4
 _PASSING, _RELAXING, _RETURNING = range(3)
 
@@ -40,33 +40,33 @@ class Watchdog(LeafSystem):
     """Passes commands; while the glove stays lost, moves the hand to a safe pose, and later eases it back.
 
     RetargetingSystem already holds when its input is lost. After `relax_after`, the watchdog moves the hand
-    to the safe pose. When the input is followed again, it eases the hand back. It passes commands on when the
-    hand has met two of them in a row, so that its velocity agrees. While disengaged it never relaxes, because
-    the person wants a hold. Its own motions keep the limits. It updates `AFTER` the retargeting, so that it
+    to the safe pose. When the input is followed again, it eases the hand back. It passes commands again once
+    the hand has met two of them in a row, so that velocities agree. While the person is disengaged, the hand
+    only holds. The watchdog's own motions respect the limits. It updates `AFTER` the retargeting, so that it
     has the command of the same period.
 
     Input ports:
         desired_state (2n): joint positions (rad), then velocities (rad/s), in actuator order.
-        status (abstract RetargetingStatus): of the retargeting.
+        status (abstract RetargetingStatus): status of the retargeting.
         engaged (1): 1 engaged, 0 not.
     Output ports:
         desired_state (2n): the input, or the motion to the safe pose and back, in the same order and units.
         following (1): 1 while the person's hand is followed, 0 while the hand is held or relaxes.
         state (abstract str): what the hand does.
 
-    State: positions and velocities (n each) of its own motion, the commands one update ago (n), the mode, and
-    since when (s) the glove is lost and the mode is on.
+    State: positions and velocities (n each) of its own motion, the commands of the last update (n), the mode,
+    and since when (s) the glove has been lost and the mode has been active.
 
     Args:
-        limits: of the joints, in actuator order.
-        safe_pose: (n,) rad.
-        period: of the retargeting, s.
-        relax_after: time for which a hand without a glove holds before it relaxes, s; infinity: never.
-        relax_speed: largest joint speed on the way to the safe pose, rad/s.
+        limits: limits of the joints, in actuator order.
+        safe_pose: (n,) joint positions, rad.
+        period: period of the retargeting, s.
+        relax_after: time for which a hand without a glove holds before it relaxes, s; infinity for ever.
+        relax_speed: largest joint speed in the motion to the safe pose, rad/s.
         ease_time: time in which the speed limit grows from zero to full when the hand returns, s.
 
     Raises:
-        ValueError: one of the last three is not positive, or not finite where it must be.
+        ValueError: one of the last three is not positive, or one of the last two is infinite.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Watchdog(LeafSystem):
                 mode, since = _RELAXING, time
             if not engaged:
                 q, v = self._limits.step(q, v, q, q, self._period)
-                since = time  # the return is eased from here
+                since = time  # the return is eased from this time
             elif mode == _RELAXING:
                 q, v = self._relaxed_limits.step(q, v, self._safe, self._safe, self._period)
             else:

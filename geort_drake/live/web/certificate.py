@@ -1,4 +1,4 @@
-"""Makes a certificate for a server that others in the network reach."""
+"""Makes a certificate for a server that other machines in the network reach."""
 
 import datetime as dt
 import importlib
@@ -15,7 +15,7 @@ _LIFETIME = dt.timedelta(days=2)
 
 
 def own_addresses(host: str) -> list[str]:
-    """Returns the host, or for the address of all interfaces the one that others would use."""
+    """Returns the names by which other machines reach `host`, which may stand for all interfaces."""
     if host not in ("0.0.0.0", "::"):
         return [host]
     family = socket.AF_INET if host == "0.0.0.0" else socket.AF_INET6
@@ -58,7 +58,7 @@ def self_signed_context(hosts: list[str]) -> ssl.SSLContext:
     pem = key.private_bytes(
         serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
     ) + certificate.public_bytes(serialization.Encoding.PEM)
-    # ssl reads keys from files only; a folder of mkdtemp is the user's alone.
+    # ssl reads keys only from files; only the user can read a temporary directory.
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "key.pem"
         path.write_bytes(pem)

@@ -1,4 +1,4 @@
-"""Carries out what the page asks of a session, and tells the page what happens in it."""
+"""Carries out the page's commands in a session, and publishes the session's state to the page."""
 
 import math
 import tempfile
@@ -21,27 +21,27 @@ from geort_drake.live.web.personal_map import PersonalMap
 from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.systems.glove_recorder import GloveRecorder
 
-_STATE_S, _GUIDE_S = 0.1, 1.0  # between two states, and two judgements of guided play
+_STATE_S, _GUIDE_S = 0.1, 1.0  # s between two states, and between two checks of guided play
 WAITING = "begins when you engage"
-# Phase of a task in which a fist lets nothing fall.
+# Phase of a task in which disengaging by a fist drops nothing.
 UNTOUCHED = "reach"
-_NEWEST = 300  # samples of the delay that is shown
+_NEWEST = 300  # number of newest samples in the displayed delay
 
 
 class PageControl:
-    """Engages the person as the page asks. It is the `Control` of the sessions between two resets.
+    """Engages the person as the page asks; the `Control` of all sessions of a page.
 
     Attributes:
-        loop, recorder: of the present session.
-        task, object: that the next session has; None for the scenario's.
-        note: shown instead of the state until the next command.
+        loop, recorder: diagram and recorder of the present session.
+        task, object: task and object of the next session; None for the scenario's.
+        note: text shown instead of the state until the next command.
         again: whether the page asked for a new session.
         recordings: files that were written.
 
     Args:
-        station: where commands come from.
+        station: source of commands.
         publish: sends a state to all pages.
-        folder: of recordings.
+        folder: folder of recordings.
         personal_map: the map in use, which can be fitted to the person.
         export: writes other files of a recording; see `SessionExports.write`.
     """
@@ -75,7 +75,7 @@ class PageControl:
         self._missing: list[str] = []
 
     def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
-        """Begins a session with a numbered scene, and facts for its recordings: robot, task, object, seed."""
+        """Begins a session with the scene's number, and facts for recordings: robot, task, object, seed."""
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
         self.task, self.object = facts.get("task"), facts.get("object")
         self._started = math.nan
@@ -88,7 +88,7 @@ class PageControl:
         self._finish_recording()
 
     def close(self) -> None:
-        """Waits for the recordings' files, and ends a fit."""
+        """Waits until all recordings are written, and ends a running fit."""
         if busy := sum(thread.is_alive() for thread in self._finishing):
             say(f"Writing the files of recordings ({busy}); Ctrl-C keeps only the recordings themselves")
         for thread in self._finishing:
@@ -97,7 +97,7 @@ class PageControl:
         self._private.cleanup()
 
     def step(self, root: Context, engaged: bool) -> bool:
-        """Returns whether the person shall be engaged."""
+        """Carries out new commands; returns whether to engage the person."""
         self._root = root
         while self._station.commands:
             command = self._station.commands.popleft()
@@ -118,7 +118,7 @@ class PageControl:
             elif isinstance(command, Guide):
                 self._guide, self._missing = GuidedPlay(time.monotonic(), self._station.about.side), []
             elif isinstance(command, Refit):
-                # Without consent, a person's play and map end with the command.
+                # Without consent, the person's play and map are deleted when the command ends.
                 kept = self._folder if self._consent else Path(self._private.name)
                 self._map.begin_fit(self._guide, self._station.about.hand, kept)
         if self._parts is not None and self._parts.failed:
@@ -127,7 +127,7 @@ class PageControl:
         if math.isnan(self._started):
             self.loop.restart(root)
             self._started = root.get_time() if engaged else math.nan
-        # A replay follows from its start, as the robot does from its engagement.
+        # Recording begins at the engagement, because a replay follows from its start.
         if engaged and self._consent and self._parts is None:
             self._record()
         self._map.step(self.loop, root)
@@ -142,7 +142,7 @@ class PageControl:
         return engaged
 
     def _fist_counts(self, engaged: bool) -> bool:
-        """Whether a held fist is a command of a simulation: not in guided play or in a grasp."""
+        """Whether a held fist is a command: only in a simulation, outside guided play and grasps."""
         guided = self._guide is not None and self._guide.seconds_left > 0.0
         if guided or self._station.about.robot != "simulation":
             return False
@@ -177,14 +177,14 @@ class PageControl:
         parts, self._parts = self._parts, None
         self.recorder.switch(None)
         facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
-        driver, simulated = self._map.file, self.loop.simulation is not None
+        retargeter, simulated = self._map.file, self.loop.simulation is not None
 
-        # Joining takes longer than a step of the loop, and a replay much longer.
+        # In a thread, because joining takes longer than a step of the loop, and exporting much longer.
         def finish() -> None:
             try:
                 if parts.finish(facts):
                     self.recordings.append(parts.path)
-                    self._export(parts.path, driver, simulated)
+                    self._export(parts.path, retargeter, simulated)
             except GeortError as error:
                 self.note = str(error)
                 warn(f"{parts.path}: {error}")
@@ -223,7 +223,7 @@ class PageControl:
         }
 
     def _clock(self, root: Context) -> float:
-        """Time since the session's first engagement, s; 0 before."""
+        """Returns the time since the session's first engagement, s; 0 before it."""
         return 0.0 if math.isnan(self._started) else root.get_time() - self._started
 
     def _outcome(self, root: Context) -> dict[str, Any] | None:

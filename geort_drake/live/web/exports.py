@@ -9,31 +9,32 @@ from geort_drake.errors import LiveError
 
 
 class SessionExports:
-    """Exports sessions one after the other, in processes of low priority.
+    """Exports sessions one after another, in processes of low priority.
 
-    A replay takes longer than the pause between two sessions, and must not slow down the page's loop.
+    A replay takes longer than the pause between two sessions and must not slow down the page's loop.
     """
 
     def __init__(self) -> None:
-        self._one = threading.Lock()
+        self._lock = threading.Lock()
         self._process: subprocess.Popen | None = None
         self._closed = False
 
     def close(self) -> None:
-        """Ends the running process and starts no other."""
+        """Ends the running process and starts no further one."""
         self._closed = True
         if self._process is not None:
             self._process.kill()
 
     def write(self, session: Path, retargeter: Path, simulated: bool) -> None:
-        """Writes the folder of a session, named as its file, and waits for it.
+        """Exports a session to a folder named like its file, and waits for the processes.
 
-        A simulated session is replayed with its own task, object and seed. Of a real robot's, whose objects
-        nobody knows, hand and joints are exported as they were recorded.
+        A simulated session is replayed with its own task, object and seed. For a session with a real robot,
+        whose objects are unknown, hand and joints are exported as recorded.
 
         Args:
-            session: its recording.
-            retargeter: that it was driven by.
+            session: file of the session's recording.
+            retargeter: checkpoint or map that drove the session.
+            simulated: whether the robot was simulated.
 
         Raises:
             LiveError: a step failed.
@@ -48,9 +49,9 @@ class SessionExports:
 
     def _run(self, *words: str | Path) -> None:
         command = ["nice", "-n", "10", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
-        with self._one:
+        with self._lock:
             if self._closed:
-                raise LiveError(f"{words[0]}: not begun before the end")
+                raise LiveError(f"{words[0]}: not started before the page's server ended")
             # In a process group of its own, so that Ctrl-C does not end it.
             self._process = process = subprocess.Popen(
                 command,

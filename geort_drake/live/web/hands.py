@@ -1,4 +1,4 @@
-"""Turns the hands that a page sends, of a camera or a headset, into frames of a glove."""
+"""Converts hands from the page, seen by a camera or a headset, to glove frames."""
 
 import math
 
@@ -11,16 +11,16 @@ from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, WRIST, bone_lengths
 
-# The camera's angle of view along the picture's longer side; those of laptops and phones are 60° to 75°.
+# The camera's angle of view along the picture's longer side; laptops and phones have 60° to 75°.
 _VIEW_RAD = math.radians(66.0)
 _MIN_DISTANCE_M, _MAX_DISTANCE_M = 0.05, 5.0  # of the hand from the camera
-_MIN_BONE_M = 1e-3  # bone
-# Of the One Euro filter. The jitter of a resting hand disappears, and a pinch at 0.3 m/s lags by 20 ms.
+_MIN_BONE_M = 1e-3  # least length of a bone
+# One Euro filter: the jitter of a resting hand disappears, and a pinch at 0.3 m/s lags by 20 ms.
 _CUTOFF_HZ, _SLOPE = 2.0, 20.0
 _STRAIGHT = (WRIST, *FINGER_KEYPOINTS["middle"])
 
-# A person at a desk faces the camera C (x right in the picture, y down, z away from it) and reaches towards
-# it as the robot reaches forward.
+# A person at a desk faces the camera C (x right in the picture, y down, z away from the camera); reaching
+# towards the camera moves the robot forward.
 _R_WC = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 # A headset's space S has y up and looks along -z.
 _R_WS = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -31,7 +31,7 @@ class HandReader:
 
     Args:
         side: "right" or "left".
-        hand_length: from wrist to middle fingertip when straight, m; None keeps the device's scale.
+        hand_length: distance from wrist to straight middle fingertip, m; None keeps the device's scale.
     """
 
     def __init__(self, side: str, hand_length: float | None = None):
@@ -58,7 +58,7 @@ class HandReader:
         return self._frame((filtered[:-1] + filtered[-1]) @ _R_WC.T, message.t)
 
     def lost(self, time: float) -> GloveFrame:
-        """Returns the frame of a lost hand, after which the filter starts anew."""
+        """Returns the frame of a lost hand, and resets the filter."""
         self._filter.reset()
         return GloveFrame(self._side, time)
 
@@ -68,7 +68,7 @@ class HandReader:
         return frame_of_points(p_WK, self._side, time)
 
     def _scaled(self, points: np.ndarray) -> np.ndarray:
-        """Points (21, 3) of a hand of this person's length; about their wrist, whose place is measured."""
+        """Scales points (21, 3), m, about the wrist to the person's hand length, if it is known."""
         if self._length is None:
             return points
         length = float(np.linalg.norm(np.diff(points[_STRAIGHT,], axis=0), axis=1).sum())
@@ -79,23 +79,23 @@ class HandReader:
 
 
 def hand_translation(world: np.ndarray, image: np.ndarray, aspect: float) -> np.ndarray:
-    """Computes where the origin of the world landmarks is, by a pinhole camera and least squares.
+    """Computes the origin of the world landmarks in a pinhole camera's frame, by least squares.
 
     With u, v from the picture's middle in units of the focal length, a landmark (x, y, z) at the translation
     (a, b, c) projects to u = (x + a) / (z + c), v = (y + b) / (z + c), which is linear in a, b, c.
 
     Args:
         world: (21, 3) p_MK, m, in axes parallel to C.
-        image: (21, 2) in parts of the picture's width and height.
-        aspect: width by height.
+        image: (21, 2) as fractions of the picture's width and height.
+        aspect: the picture's width divided by its height.
 
     Returns:
         p_CM, (3,), m.
 
     Raises:
-        LiveError: the hand would be behind the camera, or too near or too far.
+        LiveError: the hand would be behind the camera, too near or too far.
     """
-    focal = 0.5 * max(aspect, 1.0) / math.tan(0.5 * _VIEW_RAD)  # in heights of the picture
+    focal = 0.5 * max(aspect, 1.0) / math.tan(0.5 * _VIEW_RAD)  # in units of the picture's height
     u, v = ((image - 0.5) * [aspect, 1.0] / focal).T
     one, zero = np.ones_like(u), np.zeros_like(u)
     A = np.vstack([np.stack([one, zero, -u], axis=1), np.stack([zero, one, -v], axis=1)])

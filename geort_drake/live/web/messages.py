@@ -1,4 +1,4 @@
-"""Messages from the page, as docs/reference/web-protocol.md states them."""
+"""Messages from the page, as specified in docs/reference/web-protocol.md."""
 
 from typing import Annotated, Literal
 
@@ -12,10 +12,10 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT
 VERSION = 1
 MAX_BYTES = 16_384
 
-# Larger coordinates are refused, m.
+# Largest accepted coordinate, m.
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-# A landmark outside the picture is an extrapolation, and not far from it.
+# A landmark outside the picture is extrapolated, and thus near it.
 PicturePoint = tuple[Annotated[float, Meta(ge=-10.0, le=10.0)], Annotated[float, Meta(ge=-10.0, le=10.0)]]
 Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
 Keypoints = Annotated[list[Point], Meta(min_length=KEYPOINT_COUNT, max_length=KEYPOINT_COUNT)]
@@ -28,7 +28,7 @@ class Message(msgspec.Struct, forbid_unknown_fields=True, tag_field="type", tag=
 
 
 class Hello(Message):
-    """Who speaks, and with which hand; `hand_length` is from the wrist to the middle fingertip, m."""
+    """Introduces a page and its hand; `hand_length` is from wrist to middle fingertip, m."""
 
     version: Literal[1]
     role: Literal["operator", "spectator"]
@@ -38,7 +38,7 @@ class Hello(Message):
 
 
 class Camera(Message):
-    """MediaPipe's landmarks at time `t`, s: of the world, m, and of the picture, in parts of its sides."""
+    """MediaPipe's landmarks at time `t`, s: world, m, and picture, as fractions of width and height."""
 
     t: Seconds
     world: Keypoints
@@ -82,7 +82,7 @@ class Record(Message):
 
 
 class Stop(Message):
-    """Ends the recording; no other begins."""
+    """Ends the recording and withdraws the consent to further ones."""
 
 
 class Guide(Message):
@@ -94,7 +94,7 @@ class Refit(Message):
 
 
 class Fist:
-    """A fist was held: engage or disengage. No page sends it; it is detected in the hands."""
+    """A held fist, which toggles engagement. No page sends it; the station detects it."""
 
 
 Request = Engage | Disengage | Reset | Record | Stop | Guide | Refit
@@ -107,13 +107,13 @@ def decode(text: str | bytes) -> Hello | Hand | Request:
     """Returns the message in a text.
 
     Raises:
-        LiveError: it is too long or does not have one of the forms; the error names the field.
+        LiveError: the message is too long or malformed; the error names the field.
     """
     message = text.encode(errors="replace") if isinstance(text, str) else text
     if len(message) > MAX_BYTES:
         raise LiveError(f"message: {len(message)} bytes; at most {MAX_BYTES} are read")
     try:
         return _DECODER.decode(message)
-    # Bytes that are no UTF-8 are a ValueError, and deep nesting a RecursionError.
+    # Invalid UTF-8 raises a ValueError, and deep nesting a RecursionError.
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise LiveError(f"message: {error!s:.120}") from None

@@ -1,4 +1,4 @@
-"""Decides who has the controls, and passes on what that person sends."""
+"""Decides which page operates the robot, and passes on its hands and commands."""
 
 import dataclasses as dc
 import itertools
@@ -32,12 +32,13 @@ from geort_drake.live.web.messages import (
 )
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 
-# A fist that is held this long is a command, s.
+# Time for which a fist must be held to be a command, s.
 FIST_S = 1.0
-# The second `engage` of a real robot must come within this time, s.
+# Time within which a second `engage` must confirm the first one of a real robot, s.
 _CONFIRM_S = 5.0
-_MAX_HANDS = 100  # that may wait for the loop
-# In a fist a fingertip is nearer to its knuckle than this share of the finger's length; around a cup not.
+_MAX_HANDS = 100  # most hands that wait for the loop
+# In a fist, a fingertip is nearer to its knuckle than this fraction of the finger's length; around a cup it
+# is not.
 _FIST = 0.5
 
 
@@ -55,16 +56,16 @@ class RobotInfo:
 
 @dc.dataclass
 class Operator:
-    """The person who has the controls.
+    """The page that operates the robot.
 
     Attributes:
-        number: of the connection.
-        device: as in `Hello`.
-        reader: of the hands.
-        time: of the last hand, s on the page's clock.
-        first: hands (21, 3), m, that are not checked yet.
-        known: whether they were.
-        fist_since: since when a fist is held, s; None without one, infinite after its command.
+        number: number of its connection.
+        device: device of its `Hello`.
+        reader: reads its hands.
+        time: time of its last hand, s on the page's clock.
+        first: its first hands (21, 3), m, not checked yet.
+        known: whether its first hands were checked.
+        fist_since: since when a fist has been held, s; None without one, infinite after its command.
         asked: when a confirmation was asked for, s.
     """
 
@@ -79,21 +80,21 @@ class Operator:
 
 
 class OperatorStation:
-    """Lets one page operate the robot and others watch. It is the loop's `Receiver`.
+    """Lets one page operate the robot while others watch; the `Receiver` of the loop.
 
     The server's thread calls `join`, `take` and `leave`; the loop's calls `drain` and reads `commands`.
 
     Attributes:
-        about: the robot.
-        commands: what the operator asked for, oldest first.
-        operator: who has the controls; None: nobody.
-        received, refused: counts of hands that were passed on, and of messages that could not be used.
-        fist: share of `FIST_S` for which a fist has been held.
+        about: facts about the robot.
+        commands: the operator's commands, oldest first.
+        operator: the page that operates the robot; None if there is none.
+        received, refused: number of hands passed on, and of messages that could not be used.
+        fist: fraction of `FIST_S` for which a fist has been held.
         p_HK: the operator's last hand (21, 3), m; None while it is lost.
 
     Args:
-        about: the robot.
-        clock: monotonic, s.
+        about: facts about the robot.
+        clock: monotonic clock, s.
     """
 
     def __init__(self, about: RobotInfo, clock: Callable[[], float] = time.monotonic):
@@ -108,7 +109,7 @@ class OperatorStation:
 
     @property
     def spectators(self) -> int:
-        """How many look on."""
+        """Number of pages that only watch."""
         return len(self._people) - (self.operator is not None)
 
     @property
@@ -118,7 +119,7 @@ class OperatorStation:
         return 0.0 if operator is None else operator.reader.delay
 
     def drain(self) -> list[bytes]:
-        """Returns the hands since the last call, oldest first, as messages of a glove."""
+        """Returns the hands since the last call as glove messages, oldest first."""
         hands = []
         while self._hands:
             hands.append(self._hands.popleft())
@@ -128,12 +129,12 @@ class OperatorStation:
         """Does nothing; the server closes the connections."""
 
     def join(self, person: int) -> dict[str, Any]:
-        """Adds a connection, which looks on until its `hello`, and returns the first answer to it."""
+        """Adds a connection, a spectator until its `hello`, and returns the first message to it."""
         self._people.add(person)
         return self._welcome(person)
 
     def leave(self, person: int) -> None:
-        """Removes a connection. If it was at the controls, the hand is lost at once and disengaged."""
+        """Removes a connection. If it was the operator, the hand is lost and disengaged at once."""
         self._people.discard(person)
         if self._is_operator(person):
             self._leave_controls()
@@ -145,7 +146,7 @@ class OperatorStation:
             The answer, if there is one.
 
         Raises:
-            GeortError: the message cannot be used; it is counted, and nothing follows from it.
+            GeortError: the message cannot be used; it is counted and otherwise ignored.
         """
         try:
             message = decode(text)
@@ -219,8 +220,8 @@ class OperatorStation:
             operator.fist_since = now
         self.fist = min(max((now - operator.fist_since) / FIST_S, 0.0), 1.0)
         if self.fist >= 1.0:
-            operator.fist_since = math.inf  # it counts once, until the hand opens
-            # A fist is no confirmation that a real robot may move.
+            operator.fist_since = math.inf  # a fist counts only once
+            # A fist does not confirm that a real robot may move.
             if self.about.robot == "simulation":
                 self.commands.append(Fist())
 

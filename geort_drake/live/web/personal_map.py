@@ -1,4 +1,4 @@
-"""Fits the universal map to the person at the page, and lets the fitted map take over."""
+"""Fits the universal map to the person at the page, and switches to the fitted map."""
 
 import subprocess
 import sys
@@ -22,10 +22,10 @@ class Refitting:
     """Fits the universal map to a person, in a separate process with low priority.
 
     Args:
-        recording: file of the person's hand.
+        recording: recording of the person's hand.
         output: directory of the result.
         hand: name or file of the robot hand's description.
-        map_file: the map.
+        map_file: file of the universal map.
     """
 
     def __init__(self, recording: Path, output: Path, hand: str, map_file: Path):
@@ -40,7 +40,7 @@ class Refitting:
         )
 
     def state(self) -> dict[str, str]:
-        """The state for the page."""
+        """Returns the state of the fit for the page."""
         code = self._process.poll()
         if code is None:
             return {"state": "running", "text": "the map is being fitted to your hand"}
@@ -56,14 +56,14 @@ class Refitting:
 
 
 class PersonalMap:
-    """The map of the person at the page, who may fit it; another person gets the first map again.
+    """The map in use, which the person at the page may fit; another person gets the first map again.
 
     Attributes:
-        state: of the fit, for the page; None before the first fit.
+        state: state of the fit for the page; None before the first fit.
 
     Args:
         retargeter: the first map: a checkpoint, or the file of a universal map, which can be fitted.
-        load: returns the retargeter of a fitted map's directory.
+        load: loads a retargeter from the directory of a fitted map.
     """
 
     def __init__(self, retargeter: Path, load: Callable[[Path], Retarget]):
@@ -85,16 +85,16 @@ class PersonalMap:
         return self._fitted_file if self.is_fitted else self._retargeter
 
     def begin_session(self) -> None:
-        """Lets a fitted map take over in the new session too."""
+        """Makes a fitted map take over in the new session, too."""
         self._takes_over = self.is_fitted
 
     def begin_fit(self, guide: GuidedPlay | None, hand: str, folder: Path) -> None:
-        """Begins a fit to finished guided play, or says in `state` why not.
+        """Begins a fit to finished guided play; if that is not possible, `state` says why.
 
         Args:
             guide: the person's guided play, if there was any.
             hand: name or file of the robot hand's description.
-            folder: of the play's recording and of the fitted map.
+            folder: folder for the play's recording and the fitted map.
         """
         if self._fit is not None:
             return
@@ -110,7 +110,7 @@ class PersonalMap:
         self._fit = Refitting(path, path.with_suffix(""), hand, self._retargeter)
 
     def step(self, loop: Teleoperation, root: Context) -> None:
-        """Watches the fit. Gives its map to the loop once a session; drops it when another person comes."""
+        """Checks the fit, gives its map to the loop once per session, and drops it for another person."""
         if self._fit is not None:
             self.state = self._fit.state()
             if self.state == DONE:
@@ -128,7 +128,7 @@ class PersonalMap:
             self._fitted = None
 
     def close(self) -> None:
-        """Ends a fit that runs."""
+        """Ends a running fit."""
         if self._fit is not None:
             self._fit.close()
 

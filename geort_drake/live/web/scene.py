@@ -1,4 +1,4 @@
-"""What the page draws: the shapes of a plant, once, and the poses of its bodies, many times a second."""
+"""Describes a plant's shapes for the page, and streams the poses of its bodies."""
 
 import warnings
 from collections.abc import Callable
@@ -30,10 +30,10 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.world import ARM, HAND, actuated_joints
 from geort_drake.systems.port_values import pose_to_vector
 
-FRAME_PERIOD = 0.032  # s; at least 30 a second
+FRAME_PERIOD = 0.032  # s; gives at least 30 frames a second
 _GREY, _TARGET_OPACITY = [0.75, 0.75, 0.78, 1.0], 0.35
 _GROUND_M = 2.0  # side of the square that stands for a half space
-# The person looks over the robot's shoulder, so that left is left; at a parked hand from near its base.
+# Eye and target of the camera: over the robot's shoulder, so that left is left; for a parked hand, near it.
 _CAMERA = np.array([-0.45, -0.55, 0.85]), np.array([0.5, 0.0, 0.2])
 _NEAR = np.array([-0.36, -0.40, 0.16]), np.array([0.08, 0.04, -0.05])
 _SHAPES: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
@@ -50,17 +50,17 @@ class Scene:
     """The geometry of a finalized plant.
 
     Attributes:
-        description: contents of `/scene`, except its number.
+        description: contents of `/scene`, except the scene's number.
         meshes: contents of `/mesh/N`.
         moving: indices of the bodies that move, in the order of a frame.
-        has_target: whether the pose of a target follows them.
+        has_target: whether the target's pose follows them.
 
     Args:
-        plant: finalized.
-        inspector: of its scene graph.
-        hand: its description.
-        parked: whether the arm stays.
-        target: a body that is drawn a second time, translucent, where it shall be.
+        plant: finalized plant.
+        inspector: inspector of its scene graph.
+        hand: description of its hand.
+        parked: whether the arm stays in place.
+        target: body that is item again, translucent, at its target pose.
     """
 
     def __init__(
@@ -88,13 +88,13 @@ class Scene:
                 if number is None:
                     X = plant.EvalBodyPoseInWorld(defaults, body) @ X
                 if shape := self._shape(geometry):
-                    look = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
-                    geometries.append(look | shape)
+                    item = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
+                    geometries.append(item | shape)
         names = [plant.get_body(index).scoped_name().get_full() for index in self.moving]
         if target is not None:
-            own = [look for look in geometries if look["moving"] == self.moving.index(target.index())]
+            own = [item for item in geometries if item["moving"] == self.moving.index(target.index())]
             geometries += [
-                look | {"moving": len(names), "color": [*look["color"][:3], _TARGET_OPACITY]} for look in own
+                item | {"moving": len(names), "color": [*item["color"][:3], _TARGET_OPACITY]} for item in own
             ]
             names.append("target")
         p_WB = base.CalcPoseInWorld(defaults).translation()
@@ -129,7 +129,7 @@ class Scene:
         return None
 
     def _triangles(self, geometry: GeometryId, shape: Mesh | Convex) -> np.ndarray | None:
-        """Triangles (n, 3, 3), m, of the file of a mesh, or else of its convex hull."""
+        """Returns triangles (n, 3, 3), m, from the file of a mesh, or else of its convex hull."""
         from geort_drake.rerun.meshes import (  # Rerun is heavy, and few plants have meshes
             hull,
             load_triangles,
@@ -141,7 +141,7 @@ class Scene:
                 return load_triangles(Path(source.path()), shape.scale3())
             except Exception as error:  # trimesh raises errors of many kinds
                 name = self._inspector.GetName(geometry)
-                warnings.warn(f"geometry {name}: drawn as its convex hull; {error}", stacklevel=4)
+                warnings.warn(f"geometry {name}: item as its convex hull; {error}", stacklevel=4)
         return hull(self._inspector, geometry)
 
     def _color(self, geometry: GeometryId) -> list[float]:
@@ -157,16 +157,16 @@ def _numbers(X: RigidTransform) -> list[float]:
 
 
 class PoseStream(LeafSystem):
-    """Sends the poses that the page draws.
+    """Sends frames of body poses and keypoints to the page.
 
     Input ports:
         body_poses (abstract list of RigidTransform): X_WB of all bodies of the scene's plant.
-        target_pose (7): of the scene's target, qw qx qy qz x y z; only if it has one.
+        target_pose (7): pose of the scene's target, qw qx qy qz x y z; only if it has one.
 
     Args:
-        scene: what moves.
-        p_HK: returns the person's keypoints (21, 3), m, H; None while the hand is lost.
-        side: of the robot's hand. Keypoints of a left hand come as their mirror image.
+        scene: scene whose bodies move.
+        p_HK: returns the person's keypoints (21, 3), m in H; None while the hand is lost.
+        side: "right" or "left", of the robot's hand. Keypoints of a left hand come as their mirror image.
         send: called with the bytes of every frame.
     """
 
@@ -197,7 +197,7 @@ class PoseStream(LeafSystem):
 
 
 class RobotKinematics(LeafSystem):
-    """Computes the poses of a robot's bodies from its measured joints, for robots that are not simulated.
+    """Computes the poses of a real robot's bodies from its measured joints.
 
     Input ports:
         hand_state (2n), arm_state (2m): positions (rad), then velocities (rad/s), in actuator order.
@@ -205,7 +205,7 @@ class RobotKinematics(LeafSystem):
         body_poses (abstract list of RigidTransform): X_WB by body index.
 
     Args:
-        plant: finalized, of the robot.
+        plant: finalized plant of the robot.
     """
 
     def __init__(self, plant: MultibodyPlant):

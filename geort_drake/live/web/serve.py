@@ -22,9 +22,9 @@ def open_server(station: OperatorStation, host: str, port: int, browser: bool) -
     """Yields a server and prints its address, which contains its key; closes it at the end.
 
     Args:
-        station: takes the page's messages.
-        host, port: where to listen. Any address but this machine's own gets TLS.
-        browser: whether the browser is opened, if there is a display.
+        station: handles the page's messages.
+        host, port: address to listen on. TLS is used unless it is a loopback address.
+        browser: whether to open the browser, if there is a display.
 
     Raises:
         LiveError: the server cannot listen there, or aiohttp or cryptography is not installed.
@@ -56,7 +56,7 @@ def open_server(station: OperatorStation, host: str, port: int, browser: bool) -
 
 
 def is_loopback(host: str) -> bool:
-    """Returns whether only this machine reaches an address."""
+    """Returns whether only this machine can reach an address."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

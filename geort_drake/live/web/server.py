@@ -1,4 +1,4 @@
-"""Serves the page, the scene and the WebSocket of docs/reference/web-protocol.md, in a thread of its own."""
+"""Serves the page, the scene and the WebSocket of docs/reference/web-protocol.md in a separate thread."""
 
 import asyncio
 import concurrent.futures
@@ -19,15 +19,15 @@ from geort_drake.live.web.operator_station import OperatorStation
 
 PAGES = Path(__file__).parent / "static"
 _MAX_CONNECTIONS = 8
-_RATE_HZ = 200.0  # messages of one connection, on average over a second
+_RATE_HZ = 200.0  # most messages a second of one connection, with bursts of a second
 _MAX_EXCESS = 1000  # messages beyond that rate, after which the connection is closed
-_REFUSAL_S = 1.0  # between two `refused`
+_REFUSAL_S = 1.0  # least time between two `refused` messages
 _HEARTBEAT_S = 2.0
 _NO_PAGE = (
     "<!doctype html><title>geort-drake live</title><p>The page has not been built. "
     "In a clone of the repository: <code>make live</code>, which needs Node."
 )
-# Nothing is loaded from elsewhere. WebAssembly and workers are for the hand tracking.
+# The page loads nothing from other servers. Hand tracking needs WebAssembly and workers.
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self' blob: data:; script-src 'self' blob: 'wasm-unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
@@ -66,10 +66,10 @@ class _Connection:
         self._wake.set()
 
     def exceeds_rate(self) -> bool:
-        """Counts a message and returns whether it is one too many.
+        """Counts a message and returns whether it exceeds the allowed rate.
 
         Raises:
-            LiveError: there were so many that the connection must end.
+            LiveError: too many messages exceeded the rate; the connection must end.
         """
         now = time.monotonic()
         self._allowed = min(self._allowed + _RATE_HZ * (now - self._counted_at), _RATE_HZ)
@@ -97,16 +97,16 @@ class _Connection:
 
 
 class WebServer:
-    """A server whose methods may be called from any thread.
+    """A web server in its own thread; its methods may be called from any thread.
 
     Attributes:
-        port: on which it listens.
-        dropped: messages that came faster than allowed.
+        port: port on which it listens.
+        dropped: number of messages beyond the allowed rate.
 
     Args:
-        station: takes the messages.
-        host, port: where to listen; port 0 lets the system choose.
-        key: the secret that the WebSocket asks for.
+        station: handles the messages.
+        host, port: address to listen on; for port 0 the system chooses a port.
+        key: secret that a WebSocket must present.
         tls: settings with a certificate; None for plain HTTP.
         pages: folder of the built page.
 
@@ -136,7 +136,7 @@ class WebServer:
         self.port = ready.result()
 
     def show(self, scene: bytes, meshes: list[bytes]) -> None:
-        """Serves another scene."""
+        """Replaces the scene and its meshes."""
         self._scene, self._meshes = scene, meshes
 
     def publish(self, state: str | None = None, frame: bytes | None = None) -> None:
@@ -193,7 +193,7 @@ class WebServer:
         return web.Response(body=self._meshes[number], content_type="application/octet-stream")
 
     async def _talk(self, request: web.Request) -> web.StreamResponse:
-        """Serves a WebSocket until it ends, however it ends."""
+        """Serves a WebSocket until it ends."""
         self._require_access(request)
         self._open += 1
         try:
@@ -224,7 +224,7 @@ class WebServer:
         given = request.query.get("key", "").encode(errors="replace")
         if not hmac.compare_digest(given, self._key.encode()):
             raise web.HTTPForbidden(text="wrong key: open the address that `geort-drake live` printed")
-        # Browsers state where a page comes from; others, which no page controls, need not.
+        # Browsers send the page's origin; other clients, which no page controls, need not.
         origin = request.headers.get("Origin")
         if origin is not None and origin != f"{'https' if self._tls else 'http'}://{request.host}":
             raise web.HTTPForbidden(text="this page comes from elsewhere")

@@ -1,4 +1,4 @@
-"""Runs teleoperation from the page: one session after another, each begun by a reset."""
+"""Runs teleoperation from the page: one session after another, separated by resets."""
 
 import copy
 import dataclasses as dc
@@ -30,20 +30,20 @@ from geort_drake.systems.release import release
 if TYPE_CHECKING:
     from geort_drake.live.web.server import WebServer
 
-# A simulation takes joint targets this often, s, so that a hand waits for half of it on average.
+# Longest time between joint targets of a simulation, s; a new hand waits for half of it on average.
 _PERIOD = 0.004
 
 
 @dc.dataclass
 class WebTeleoperation:
-    """What the sessions of one page have in common.
+    """Runs the sessions of one page, and holds what they share.
 
     Attributes:
-        scenarios: task → settings, the first task first; every session has its own object.
-        description, model: of the robot in the first.
+        scenarios: task → its scenario, the first task first; sessions vary the object.
+        description, model: description of the robot's hand, and model of the first scenario's robot.
         retarget: the map with which every session begins.
-        station, server, control: of the page.
-        link: to a real robot; None for the simulation.
+        station, server, control: parts of the page's server.
+        link: link to a real robot; None for the simulation.
         relax_after: see `Watchdog`, s.
     """
 
@@ -74,7 +74,7 @@ class WebTeleoperation:
             on_state: see `run_session`.
 
         Returns:
-            The report of all sessions, and the last one's diagram.
+            A report of all sessions together, and the last session's diagram.
         """
         total = SessionReport(0.0, {}, 0)
         link, control = self.link, self.control
@@ -87,7 +87,7 @@ class WebTeleoperation:
             except GeortError as error:
                 if not before:
                     raise
-                # Not every hand can do every task.
+                # Not every hand can do every task: returns to the last one.
                 (control.task, control.object), control.note = before, str(error)
                 loop = self._begin(scenes, timeout)
             before = control.task, control.object
@@ -109,7 +109,7 @@ class WebTeleoperation:
             if stop() or not control.again:
                 return total, loop
             engaged = False
-            # A system in Python is never freed, and the rest is in cycles, so every reset would cost memory.
+            # Drake never frees systems in Python, and the rest is in reference cycles, so resets would leak.
             release(loop.diagram)
             del loop
             gc.collect()
@@ -159,7 +159,7 @@ class WebTeleoperation:
             if scene.has_target:
                 builder.Connect(robot.GetOutputPort("target_pose"), stream.GetInputPort("target_pose"))
 
-        # A replay cannot tell what a real robot did.
+        # The joints of a real robot are recorded, because a replay cannot reproduce them.
         kept = {} if self.link is None else robot_joints(description, model)
         recorder = GloveRecorder(scenario.operator.period, robot=kept)
         loop = make_teleoperation(
@@ -183,7 +183,7 @@ class WebTeleoperation:
 
 
 def robot_joints(description: HandDescription, model: RobotModel) -> dict[str, list[str]]:
-    """What `GloveRecorder` records of a robot, named as in recordings of a simulation."""
+    """Returns the argument `robot` of `GloveRecorder`, with names as in recordings of a simulation."""
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
     hand = [f"{finger_of[joint]}.{joint}" for joint in model.hand.joints]
     groups = {"joints": hand, "arm": list(model.arm.joints)}
