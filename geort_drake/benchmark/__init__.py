@@ -1,1 +1,1 @@
-"""Comparison of maps by simulated trials: statistics, report."""
+"""Compares retargeting methods by simulated trials, with statistics and reports."""

@@ -1,4 +1,4 @@
-"""Conditions: scenarios with one changed parameter, named after it, such as `delay=100`."""
+"""Conditions: scenarios with one changed parameter, named after it and its value, such as `delay=100`."""
 
 import copy
 import dataclasses as dc
@@ -23,10 +23,10 @@ class Parameter:
     """A parameter of a scenario that conditions change.
 
     Attributes:
-        label: of the plot's axis, with unit.
-        values: the default values.
+        label: label of the plot's axis, with unit.
+        values: default values.
         change: sets a value in a scenario.
-        nominal: reads the unchanged value from a scenario.
+        nominal: returns the unchanged value of a scenario.
     """
 
     label: str
@@ -38,7 +38,7 @@ class Parameter:
 def _factor(
     label: str, values: tuple[float, ...], part: Callable[[Scenario], Any], *fields: str
 ) -> Parameter:
-    """A factor on fields of a part of the scenario."""
+    """Returns a parameter that multiplies fields of a part of the scenario."""
 
     def change(scenario: Scenario, factor: float) -> None:
         for field in fields:
@@ -48,23 +48,23 @@ def _factor(
 
 
 def _set(field: str, unit: float = 1) -> Callable[[Scenario, float], None]:
-    """Sets a field of the scenario, such as "glove.shift", to `unit` times a value."""
+    """Returns a function that sets a field, such as "glove.shift", to `unit` times a value."""
     part, _, name = field.rpartition(".")
     return lambda scenario, value: setattr(attrgetter(part)(scenario), name, unit * value)
 
 
 def _shift_glove(scenario: Scenario, shift: float) -> None:
-    """A glove shifted on the hand by `shift` mm and turned by shift / 0.1 m, as after putting it on again."""
+    """Shifts the glove on the hand by `shift` mm and turns it by shift / 0.1 m, as when put on again."""
     scenario.glove.shift, scenario.glove.turn = 1e-3 * shift, 1e-2 * shift
 
 
 def _soften(scenario: Scenario, modulus: float) -> None:
-    """Sets the fingertips' hydroelastic modulus, kPa; 0: rigid point contact."""
+    """Sets the fingertips' hydroelastic modulus, kPa; 0 for rigid point contact."""
     scenario.fingertip_modulus = 1000 * modulus
     scenario.plant_config.contact_model = "hydroelastic_with_fallback" if modulus else "point"
 
 
-# Changed by the sensitivity analysis of a grasp benchmark.
+# Parameters that the sensitivity analysis of a grasp benchmark changes.
 ASSUMPTIONS = {
     "delay": Parameter(
         "visual delay, ms",
@@ -115,7 +115,7 @@ ASSUMPTIONS = {
 
 
 def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) -> Parameter:
-    """A range of random changes of the object. `unit` converts a size to the unit of the scenario's field."""
+    """Returns a range of random changes of the object; a size times `unit` is the scenario's `field`."""
 
     def change(scenario: Scenario, size: float) -> None:
         setattr(scenario.object, field, unit * size)
@@ -123,7 +123,7 @@ def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) 
     return Parameter(label, sizes, change, lambda _: 0.0)
 
 
-# Changed by replays.
+# Parameters that replays change.
 PERTURBATIONS = {
     "position": _range("largest shift in x and y, mm", (5, 10, 20), "position_range", 1e-3),
     "yaw": _range("largest rotation, °", (5, 15, 30), "yaw_range", math.radians(1)),
@@ -133,10 +133,10 @@ PERTURBATIONS = {
 
 
 def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> dict[str, list[float]]:
-    """Name → values from texts `NAME=V1,V2`, or `NAME` for its defaults; no texts mean all defaults.
+    """Parses texts `NAME=V1,V2`, or `NAME` for its defaults, to name → values; no texts mean all defaults.
 
     Raises:
-        UnknownNameError: a name is none of the parameters.
+        UnknownNameError: there is no parameter of that name.
         BenchmarkError: a value is not a finite number of at least 0.
     """
     result: dict[str, list[float]] = {}
@@ -159,10 +159,10 @@ def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> d
 def make_conditions(
     scenario: Scenario, values: Mapping[str, Sequence[float]], parameters: Mapping[str, Parameter]
 ) -> dict[str, Scenario]:
-    """Name → changed scenario for each value that is not nominal.
+    """Returns name → changed scenario for each value that is not nominal.
 
     Raises:
-        ScenarioError: a value makes no valid scenario.
+        ScenarioError: a changed scenario is invalid.
     """
     conditions = {}
     for name, numbers in values.items():
@@ -177,7 +177,7 @@ def make_conditions(
 
 
 def group_by_value(records: Iterable[Record], parameter: str) -> dict[float, list[Record]]:
-    """Value → records of the conditions in which a parameter has that value."""
+    """Groups records by the value of a parameter in their conditions; leaves out other conditions."""
     groups: dict[float, list[Record]] = {}
     for record in records:
         name, _, value = record.get("condition", "").partition("=")

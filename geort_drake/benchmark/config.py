@@ -1,4 +1,4 @@
-"""A benchmark's `config.json`, and the checks of its JSON files."""
+"""Reads and checks a benchmark's `config.json` and other JSON."""
 
 import json
 from collections.abc import Sequence
@@ -71,17 +71,17 @@ def continue_config(
     """Checks a configuration against the stored one, and adds the stored entries to it.
 
     Args:
-        folder: of the benchmark.
-        config: its `settings` must equal the stored ones; its parts are extended here.
-        schema: of the stored configuration.
+        folder: folder of the benchmark.
+        config: new configuration, extended in place; its `settings` must equal the stored ones.
+        schema: schema of the stored configuration.
         parts: keys of dictionaries whose common entries must be equal.
-        any_code: accept changed code of the trials.
+        any_code: whether to accept changed code of the trials.
 
     Returns:
         The stored configuration, or None.
 
     Raises:
-        BenchmarkError: they differ, the stored one is damaged, or the folder contains trials without one.
+        BenchmarkError: the configurations differ, the stored one is damaged, or trials lack one.
     """
     path, trials = folder / CONFIG, folder / TRIALS
     if not path.is_file():
@@ -117,7 +117,8 @@ def parse_json(text: bytes, schema: Any, where: str) -> dict:
     """Parses JSON that must have at least the fields of a TypedDict or dataclass.
 
     Raises:
-        BenchmarkError: not JSON, or a field is missing, of another type or not finite; begins with `where`.
+        BenchmarkError: the text is not JSON, or a field is missing, of a wrong type or not finite; the
+            message begins with `where`.
     """
     try:
         content = json.loads(text)

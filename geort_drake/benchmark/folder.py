@@ -1,4 +1,4 @@
-"""A benchmark of one task in its folder: opening it, its trials, and repeating one of them.
+"""Opens a benchmark of one task in its folder, prepares its trials, and repeats single trials.
 
 FOLDER/config.json     everything that determines the trials; later runs may add methods, objects and trials
 FOLDER/scenario.yaml   the resolved scenario
@@ -55,12 +55,12 @@ class Benchmark:
     """Methods and conditions, and everything that their trials share.
 
     Attributes:
-        folder: of the results.
+        folder: folder of the results.
         config: content of `config.json`.
         scenario_text: the resolved scenario, as YAML.
-        hand: the robot's.
-        people: the operator's hand in the scenario itself, under "", and in each condition.
-        methods: name → retargeter, which can be sent to another process, and its latency, s.
+        hand: model of the robot's hand.
+        people: name of each condition → the operator's hand; "" is the scenario itself.
+        methods: name → retargeter, which must be picklable, and its latency, s.
         conditions: name of each changed scenario → its resolved text.
     """
 
@@ -71,11 +71,11 @@ class Benchmark:
     people: dict[str, HumanHand]
     methods: dict[str, tuple[Retarget, float]]
     conditions: dict[str, str] = dc.field(default_factory=dict)
-    # Method and condition → the map after free play, and what the person saw in it.
+    # Method and condition → the map after free play, and the fingertips that the person saw in it.
     _played: dict[tuple[str, str], tuple[Retarget, FreePlay]] = dc.field(default_factory=dict)
 
     def keys(self, methods: Iterable[str], objects: Iterable[str], trials: int) -> list[TrialKey]:
-        """The trials in order: seed by seed, so that an interrupted run is balanced."""
+        """Returns the trials in order: seed by seed, so that an interrupted run is balanced."""
         first = self.config["settings"]["scenario"]["random_seed"]
         return [
             TrialKey(method, name, first + k, condition)
@@ -86,7 +86,7 @@ class Benchmark:
         ]
 
     def trial(self, key: TrialKey, plans: Sequence[Any]) -> Trial:
-        """A trial for a worker, with the plan for its case that the person keeps after free play."""
+        """Returns a trial for a worker, with the one of `plans` that the person selects after free play."""
         (retarget, latency), person = self.methods[key.method], self.people[key.condition]
         text = self.conditions[key.condition] if key.condition else self.scenario_text
         if (key.method, key.condition) not in self._played:
@@ -102,7 +102,7 @@ class Benchmark:
 
 
 def read_person(path: Path | None, side: str, seed: int) -> tuple[Recording, dict[str, Any]]:
-    """The teleoperator's recording, or synthetic play, and the configuration's notes of it."""
+    """Returns the teleoperator's recording, or synthetic play, and notes on it for the configuration."""
     notes = {"recording": None if path is None else str(path.resolve()), "side": side}
     return training_recording(path, side, seed), notes
 
@@ -124,24 +124,24 @@ def open_benchmark(
     latencies: Mapping[str, float] | None = None,
     made: Mapping[str, tuple[Retarget, str]] | None = None,
 ) -> Benchmark:
-    """Starts a benchmark in a folder, or continues the one that is there.
+    """Starts a benchmark in a folder, or continues the existing one.
 
     Args:
-        folder: of the results.
-        scenario: of every trial except for object and seed; its seed is the first one.
-        recording: of the teleoperator; methods are trained on it.
+        folder: folder of the results.
+        scenario: scenario of every trial, apart from object and seed; its seed is the first one.
+        recording: the teleoperator's recording, on which methods are trained.
         methods: names of methods and directories of checkpoints.
         objects: names of the task's cases.
         trials: number of seeds per method and object.
-        seed: of the training.
-        zero_latency: simulate no method's latency.
+        seed: seed of the first training.
+        zero_latency: whether to simulate all methods without latency.
         notes: further entries of the configuration, which are not compared.
         conditions: name → changed scenario in which the trials are also run.
-        any_code: continue even if the code of the trials has changed.
-        operator: recording of the person who operates, such as another session; None: `recording`.
-        trainings: of each trained method, with seeds from `seed` on.
-        latencies: known ones, by method, such as another task has measured, s.
-        made: name → further retargeter, which can be sent to another process, and a digest of it.
+        any_code: whether to continue even if the code of the trials has changed.
+        operator: recording of the person who operates, such as another session; None for `recording`.
+        trainings: number of trainings of each trained method, with seeds from `seed` on.
+        latencies: method → known latency, s, such as one measured in another task.
+        made: name → further retargeter, which must be picklable, and its digest.
 
     Raises:
         BenchmarkError: the folder's benchmark was started with another configuration.
@@ -198,7 +198,7 @@ def open_benchmark(
 
 
 def note_refused(benchmark: Benchmark, refused: Mapping[str, str]) -> None:
-    """Notes objects that the hand cannot grasp, and why; they have no trials."""
+    """Stores in the configuration which objects the hand cannot grasp, and why; they have no trials."""
     if not refused.items() <= benchmark.config["refused"].items():
         benchmark.config["refused"] |= refused
         text = json.dumps(benchmark.config, indent=2, allow_nan=False) + "\n"
@@ -209,11 +209,11 @@ def repeat_trial(folder: Path, key: TrialKey) -> tuple[Record, Path]:
     """Simulates a finished trial again and writes its Rerun recording.
 
     Returns:
-        The new record, which may contain an `error`, and the recording's file.
+        The new record, which may contain an `error`, and the file of the recording.
 
     Raises:
         BenchmarkError: the outcome differs from the stored one.
-        UnknownNameError: there is no such finished trial; lists similar ones.
+        UnknownNameError: there is no such finished trial; the message lists similar ones.
     """
     config = read_config(folder)
     records = {key_of(record): record for record in read_records(folder / TRIALS)}
@@ -267,12 +267,12 @@ def code_has_changed(folder: Path) -> bool:
 
 
 def rerun_path(folder: Path, key: TrialKey) -> Path:
-    """The file of a repeated trial's Rerun recording."""
+    """Returns the file of a repeated trial's Rerun recording."""
     return folder / "rrd" / f"{key.file_stem}.rrd"
 
 
 def simulation_settings(hand: HandModel) -> dict:
-    """Models, code and libraries that determine a trial besides scenario and method."""
+    """Returns digests of models and code, and versions, that determine trials with scenario and method."""
     made_with = versions()
     return {
         "hand": hand.description.name,
@@ -284,7 +284,7 @@ def simulation_settings(hand: HandModel) -> dict:
 
 
 def _changes(nominal: dict, changed: dict) -> dict:
-    """The fields of a changed scenario that differ from the nominal one, nested."""
+    """Returns the fields of a changed scenario that differ from the nominal one, nested."""
     return {
         name: _changes(nominal[name], value) if isinstance(value, dict) else value
         for name, value in changed.items()

@@ -1,4 +1,4 @@
-"""Retargeting methods of a grasp benchmark: training, loading and timing."""
+"""Trains, loads and times the retargeting methods of a benchmark."""
 
 import shutil
 import time
@@ -18,22 +18,22 @@ from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.methods import shipped_methods, trained_methods
 from geort_drake.retargeting.retargeter import UniversalRetargeter
 
-# Parts of the recording, successive frames per part, and frames at its start that are not timed.
+# Number of parts of the recording, successive frames per part, and untimed frames at the start of a part.
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
 def make_retargeter(
     name: str, method: str, keep: Path, hand_name: str, hand: HandModel, recording: Recording, seed: int
 ) -> tuple[Retarget, str | None]:
-    """A retargeter, and the digest of its weights; None if nothing is learned.
+    """Returns a retargeter, and the digest of its weights or None if it has learned nothing.
 
     Args:
         name, method: an item of `names_of`.
         keep: folder for a copy of the checkpoint, map or Python file.
         hand_name: name or file of the robot hand's description.
-        hand: its model.
-        recording: training data, or the frames that an untrained method uses.
-        seed: of the first training, or of an untrained method's random samples.
+        hand: model of the robot hand.
+        recording: training data, or frames for an untrained method.
+        seed: seed of the first training, or of an untrained method's random samples.
 
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `retargeter_of`.
@@ -64,9 +64,9 @@ def make_retargeter(
 
 
 def measure_latency(retarget: Retarget, recording: Recording) -> float:
-    """Median processor time of a call over frames from all parts of a recording, s.
+    """Returns the median processor time of a call, s, over frames from all parts of a recording.
 
-    Wall time would include other work of the machine. Only an `OwnMethod` is timed by it, because it may wait
+    Wall time would include other work of the machine. It is measured only for an `OwnMethod`, which may wait
     for another thread, process or device.
     """
     frames = recording.p_HK[recording.valid].astype(float)

@@ -1,4 +1,4 @@
-"""How a person's hand moved in a trial: speeds and movements."""
+"""Computes speeds and movements of a person's hand in a trial."""
 
 import numpy as np
 from scipy.signal import butter, find_peaks, sosfiltfilt
@@ -6,22 +6,22 @@ from scipy.signal import butter, find_peaks, sosfiltfilt
 from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.recording import Recording
 
-# Positions are resampled and smoothed, Hz; voluntary motion has no power beyond the cutoff.
+# Rate and cutoff of resampled positions, Hz; voluntary motion has no power beyond the cutoff.
 _RATE_HZ, _CUTOFF_HZ = 50.0, 6.0
 _MIN_DURATION_S = 1.0
-# Slower motion is rest, m/s.
+# Speed below which the hand rests, m/s.
 _REST_SPEED = 0.02
-# A movement is a peak of the wrist's speed of this height, which stands out by this, m/s.
+# Height and prominence that make a peak of the wrist's speed a movement, m/s.
 _MIN_PEAK, _MIN_PROMINENCE = 0.05, 0.03
 FIGURES = ("wrist_speed", "fingertip_speed", "movements")
 
 
 def motion_of(recording: Recording) -> dict[str, float | None]:
-    """How a hand moved while it was followed; None if that took less than a second.
+    """Returns figures of a hand's motion while it was followed; None if that took less than a second.
 
     Returns:
-        `wrist_speed` and `fingertip_speed`, of the fastest fingertip against the wrist: means while moving,
-        m/s; `movements`: peaks of the wrist's speed, of which those beyond one per target are corrections.
+        `wrist_speed`, and `fingertip_speed` of the fastest fingertip relative to the wrist: means while
+        moving, m/s; `movements`: peaks of the wrist's speed; those beyond one per target are corrections.
     """
     valid = recording.valid
     if recording.X_WH is None or valid.sum() < 2 or np.ptp(recording.t[valid]) < _MIN_DURATION_S:
@@ -38,7 +38,7 @@ def motion_of(recording: Recording) -> dict[str, float | None]:
 
 
 def _speeds(t: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Speeds (N, P), m/s, of points (T, P, 3), m, smoothed at a fixed rate."""
+    """Returns speeds (N, P), m/s, of points (T, P, 3), m, resampled at a fixed rate and smoothed."""
     grid = np.arange(t[0], t[-1], 1.0 / _RATE_HZ)
     flat = points.reshape(len(t), -1)
     even = np.stack([np.interp(grid, t, column) for column in flat.T], axis=1)

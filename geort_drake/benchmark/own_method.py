@@ -1,4 +1,4 @@
-"""A user's own retargeting method: a Python file with a function `make(hand)`."""
+"""Runs a user's own retargeting method, a Python file with a function `make(hand)`."""
 
 import importlib.util
 import sys
@@ -14,20 +14,20 @@ from geort_drake.errors import MethodError
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 
-MAX_CALL_TIME = 0.3  # s, of a call
+MAX_CALL_TIME = 0.3  # s, longest duration of a call
 _TOLERANCE = 2e-3  # rad; optimisers may end slightly outside the limits
 
 
 class OwnMethod:
-    """Calls the retargeter from a user's file, whose faults do not end a trial.
+    """Calls the retargeter from a user's file; its faults do not end a trial.
 
-    The file defines `make(hand)`: it gets the `HandModel` and returns a function from keypoints p_HK (21, 3)
-    of a right hand, m in H, to joint angles (n,), rad, in the order of `hand.joint_names`. `make` is called
-    for each trial, so the function may remember earlier frames. Unusable outputs become NaN, which
+    The file defines `make(hand)`, which takes the `HandModel` and returns a function from keypoints p_HK
+    (21, 3) of a right hand, m in H, to joint angles (n,), rad, in the order of `hand.joint_names`. `make` is
+    called for each trial, so the function may remember earlier frames. Unusable outputs become NaN, which
     `RetargetingSystem` does not follow; angles outside the limits are clamped to them.
 
     Attributes:
-        joint_names, lower, upper: of the hand.
+        joint_names, lower, upper: joints of the hand and their limits, rad.
         faults: kind of fault → number of outputs since `reset`.
     """
 
@@ -39,7 +39,7 @@ class OwnMethod:
         self.reset()
 
     def __reduce__(self) -> tuple:
-        return OwnMethod, (self._path, self._hand_name)  # each process makes its own: solvers are not pickled
+        return OwnMethod, (self._path, self._hand_name)  # solvers cannot be pickled
 
     def reset(self) -> None:
         """Begins a new trial."""
@@ -47,11 +47,11 @@ class OwnMethod:
         self.faults: Counter[str] = Counter()
 
     def check(self, p_HK: np.ndarray) -> None:
-        """Retargets one frame twice, the first time to warm up.
+        """Checks the method on a frame, called twice because the first call warms up.
 
         Raises:
-            MethodError: the file has no `make`, it raised an exception, or the output is unusable or takes
-                longer than `MAX_CALL_TIME`; names the file.
+            MethodError: the file has no `make`, the method raised an exception, its output is unusable, or
+                the call took longer than `MAX_CALL_TIME`; the message names the file.
         """
         self.reset()
         try:
@@ -70,7 +70,7 @@ class OwnMethod:
             )
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        """Joint angles (n,), rad; NaN after a fault."""
+        """Returns joint angles (n,), rad, clamped to the limits; NaN if the output is unusable."""
         try:
             q = self._retarget_frame(p_HK)
         except Exception as error:  # a method may raise anything; the trial records it
@@ -103,7 +103,7 @@ class OwnMethod:
 def _load(path: Path) -> Any:
     name = f"geort_drake_method_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None  # because the file ends with .py
+    assert spec is not None and spec.loader is not None  # holds for files whose name ends with .py
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look their module up there
     spec.loader.exec_module(module)

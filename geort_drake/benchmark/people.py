@@ -1,4 +1,4 @@
-"""Sessions of real people, recorded by the live page, for comparison with the simulated person's trials."""
+"""Compares sessions of real people, recorded by the live page, with the simulated person's trials."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ class _Outcome(msgspec.Struct):
 
 
 class _Facts(msgspec.Struct):
-    """The metadata of a session that are compared; see `PageControl`."""
+    """Metadata of a session that are compared; see `PageControl`."""
 
     object: str
     map: str
@@ -28,15 +28,15 @@ class _Facts(msgspec.Struct):
 
 
 def read_people(folder: Path) -> list[Record]:
-    """The sessions in a folder, one subfolder per person, as records of trials.
+    """Reads the sessions in a folder, with a subfolder for each person, as records of trials.
 
     Returns:
-        For each: `person`, the subfolder; `map`, `object`, `success`, `completion_time` from the engagement
-        to the start of the hold, s, and `motion`, see `motion_of`.
+        For each session: `person`, the subfolder; `map`, `object`, `success`; `completion_time` from the
+        engagement to the start of the hold, s; and `motion`, see `motion_of`.
 
     Raises:
-        BenchmarkError: there is no session, or one lacks a fact.
-        RecordingError: a file is no recording.
+        BenchmarkError: there is no session, or one lacks metadata.
+        RecordingError: a file is not a recording.
     """
     records: list[Record] = []
     for path in sorted(folder.rglob("*.npz")):
@@ -68,37 +68,37 @@ def read_people(folder: Path) -> list[Record]:
 
 
 def summarize_people(people: Sequence[Record], simulated: Sequence[Record], timeout: float) -> dict:
-    """Figures of real people for each map, and of the simulated person for each method, JSON-ready.
+    """Returns figures of real people for each map, and of the simulated person for each method; JSON-ready.
 
     Args:
-        people: of `read_people`.
-        simulated: records of trials; those with an error, or of objects that no person grasped, do not count.
-        timeout: after which a trial has failed, s; people have no other.
+        people: records from `read_people`.
+        simulated: records of trials; those with an error or of objects that no person grasped are ignored.
+        timeout: time after which a trial has failed, s; sessions of people have no timeout of their own.
 
     Returns:
         `objects`; `people`: map → `persons` and figures; `simulated`: method → figures: `success`, see
         `proportion`; `completion_time` and the figures of `motion_of`, see `mean_and_interval`.
     """
     objects = sorted({record["object"] for record in people})
-    mine: dict[str, list[Record]] = {}
+    by_map: dict[str, list[Record]] = {}
     for record in people:
-        group = mine.setdefault(record["map"], [])
+        group = by_map.setdefault(record["map"], [])
         late = record["success"] and record["completion_time"] > timeout
-        # Persons are resampled, and the sessions of each.
+        # The bootstrap of objects and seeds resamples persons and their sessions instead.
         number = sum(other["object"] == record["person"] for other in group)
         success = record["success"] and not late
         group.append({**record, "object": record["person"], "seed": number, "success": success})
-    theirs: dict[str, list[Record]] = {}
+    by_method: dict[str, list[Record]] = {}
     for record in simulated:
         if "error" not in record and record["object"] in objects:
-            theirs.setdefault(record["method"], []).append(record)
+            by_method.setdefault(record["method"], []).append(record)
     return {
         "objects": objects,
         "people": {
             name: {"persons": len({r["person"] for r in group}), **_figures(group, timeout)}
-            for name, group in sorted(mine.items())
+            for name, group in sorted(by_map.items())
         },
-        "simulated": {name: _figures(group, timeout) for name, group in theirs.items()},
+        "simulated": {name: _figures(group, timeout) for name, group in by_method.items()},
     }
 
 

@@ -1,4 +1,4 @@
-"""Plots of a benchmark, as SVG text for a page or a file."""
+"""Draws plots of a benchmark, as SVG text for a page or a file."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ STYLE: Any = {
     "legend.frameon": False,
 }
 WIDTH = 7.0  # inches, the text width of a page
-# Text stays text instead of paths, and equal figures give equal files.
+# Keeps text as text instead of paths, and makes equal figures give equal files.
 _SVG_STYLE: Any = {**STYLE, "svg.fonttype": "none", "svg.hashsalt": "geort_drake"}
 
 
@@ -38,8 +38,8 @@ def completion_plot(records: Sequence[Record], methods: Sequence[str], timeout: 
     """Plots the fraction of trials completed over time, with intervals, as SVG.
 
     Args:
-        records: without a condition.
-        methods: names, in the order of the legend.
+        records: records without a condition.
+        methods: names of methods, in the order of the legend.
         timeout: end of the time axis, s.
     """
     figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
@@ -77,7 +77,7 @@ def success_panels(panels: Mapping[str, Mapping]) -> str:
         axes.remove()
     for axes, panel in zip(grid, panels.values(), strict=False):
         conditions = panel["conditions"]
-        # Equally spaced, because factors would crowd at one end of a linear axis; methods side by side.
+        # Values are equally spaced, because factors would crowd at one end of a linear axis.
         for number, name in enumerate(names):
             known = [k for k, c in enumerate(conditions) if c["methods"].get(name, {}).get("trials")]
             shares = [conditions[k]["methods"][name] for k in known]
@@ -104,6 +104,6 @@ def success_panels(panels: Mapping[str, Mapping]) -> str:
 def _svg(figure: Figure) -> str:
     stream = io.StringIO()
     figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None})
-    # Without the XML prologue, which a page cannot contain.
+    # Omits the XML prologue, which a page must not contain.
     text = stream.getvalue()
     return text[text.index("<svg") :]

@@ -1,4 +1,4 @@
-"""The results file of a benchmark: one JSON line per trial, readable after any interruption."""
+"""Reads and writes a benchmark's results: one JSON line per trial, readable after any interruption."""
 
 import fcntl
 import json
@@ -34,7 +34,7 @@ class TrialKey(NamedTuple):
     Attributes:
         method: name of a method, or of a replayed session.
         object: a case of the task, such as the object to grasp.
-        seed: of the scenario.
+        seed: seed of the scenario.
         condition: name of a changed scenario such as `delay=100`; empty for the scenario itself.
     """
 
@@ -49,35 +49,35 @@ class TrialKey(NamedTuple):
         return "-".join(str(self).split(" "))
 
     def __str__(self) -> str:
-        """The key as arguments of a command."""
+        """Returns the key as arguments of a command."""
         return " ".join(str(part) for part in self if part != "")
 
 
 def training_of(name: str) -> tuple[str, int]:
-    """The method and the number of its training, from the name of one of several trainings: "geort~1"."""
+    """Splits a name such as "geort~1" into method and number of the training; 0 without a number."""
     method, _, number = name.partition("~")
     return method, int(number or 0)
 
 
 def by_training(record: Record) -> Record:
-    """The record under the name of its method, with the number of its `training`."""
+    """Returns a copy of the record with the name of its method and the number of its `training`."""
     method, number = training_of(record["method"])
     return {**record, "method": method, "training": number}
 
 
 def key_of(record: Record) -> TrialKey:
-    """The key of a record."""
+    """Returns the key of a record."""
     return TrialKey(record["method"], record["object"], record["seed"], record.get("condition", ""))
 
 
 def identity(key: TrialKey) -> Record:
-    """The fields of a record that identify its trial."""
+    """Returns the fields of a record that identify its trial."""
     named = key._asdict()
     return named if key.condition else {name: named[name] for name in ("method", "object", "seed")}
 
 
 def outcome_line(record: Record) -> str:
-    """A trial and its outcome, for a progress display."""
+    """Describes a trial and its outcome, for a progress display."""
     return f"{key_of(record)}: {'error' if 'error' in record else record['outcome']}"
 
 
@@ -85,7 +85,7 @@ def check_record(record: Any, where: str) -> None:
     """Checks a record's fields and types, and that they agree on the outcome.
 
     Raises:
-        BenchmarkError: names the field, the expected and the given value; begins with `where`.
+        BenchmarkError: the message begins with `where` and names the field, and expected and given values.
     """
     check(record, _Identity, where)
     if condition := record.get("condition"):
@@ -131,7 +131,7 @@ def keep_error(folder: Path, record: Record) -> Record:
 
 
 def read_records(path: str | os.PathLike) -> list[Record]:
-    """The last record of each trial in a results file; an incomplete last line is skipped.
+    """Reads the last record of each trial in a results file; skips an incomplete last line.
 
     Raises:
         BenchmarkError: the file is missing, or a line is invalid or repeats a trial that has a result.
@@ -149,19 +149,19 @@ class TrialLog:
     machine.
 
     Attributes:
-        path: of the file.
-        records: the last record of each trial when the file was opened.
+        path: the file.
+        records: last record of each trial when the file was opened.
         torn: whether an incomplete last line was removed.
 
     Raises:
-        BenchmarkError: another process has the file open, or see `read_records`.
+        BenchmarkError: another process has opened the file, or see `read_records`.
     """
 
     def __init__(self, path: str | os.PathLike):
         self.path = Path(path)
         with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            # Unbuffered: a buffer would keep a line that could not be written.
+            # Unbuffered, because a buffer would keep a line that could not be written.
             self._file = open(self.path, "a+b", buffering=0)
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -180,7 +180,7 @@ class TrialLog:
             raise
 
     def unfinished(self, keys: Iterable[TrialKey]) -> list[TrialKey]:
-        """The trials without a result when the file was opened, failed ones included."""
+        """Returns the trials without a result when the file was opened, including trials with an error."""
         finished = {key_of(record) for record in self.records if "error" not in record}
         return [key for key in keys if key not in finished]
 

@@ -1,7 +1,7 @@
-"""Replays of recorded teleoperation sessions, with the object changed at random.
+"""Replays recorded teleoperation sessions with random changes of the object.
 
 A replay is open loop, so success against the size of a change shows how robust a motion is. A folder of
-replays has the layout of a grasp benchmark's; the `method` of a record is the session's name.
+replays has the layout of a benchmark's folder; the `method` of a record is the session's name.
 """
 
 import copy
@@ -42,14 +42,14 @@ class Replay:
     """Recorded sessions and the scenarios in which they are replayed.
 
     Args:
-        scenario: of the sessions; its ranges only affect the placement of a simulated session.
+        scenario: scenario of the sessions; its ranges only affect the placement of a simulated session.
         sessions: recordings with wrist poses.
-        side: of the recorded hands; None: the robot hand's.
-        object_name: the grasped object; None: as noted in each session.
-        retargeter: directory of a checkpoint, or a universal map by its hand's name or file, which is
-            that of the person in each session; None: the map that is shipped for the hand.
+        side: side of the recorded hands; None for the robot hand's.
+        object_name: the grasped object; None for the object in each session's metadata.
+        retargeter: directory of a checkpoint, or a universal map by its hand's name or file, which is adapted
+            to the person of each session; None for the map shipped for the hand.
         perturbations: name in `PERTURBATIONS` → sizes.
-        trials: draws per session and perturbation.
+        trials: number of random draws per session and perturbation.
 
     Raises:
         RecordingError, ScenarioError, UnknownNameError, CheckpointError: an argument is unusable.
@@ -89,7 +89,7 @@ class Replay:
                 self._conditions.setdefault(name, {})[session] = changed
 
     def keys(self) -> list[TrialKey]:
-        """Every trial. An unchanged session has one trial, because nothing is random in it."""
+        """Returns every trial; an unchanged session has only one, because nothing in it is random."""
         return [
             TrialKey(session, scenario.object.name, seed, condition)
             for seed in range(self.trials)
@@ -99,14 +99,14 @@ class Replay:
         ]
 
     def trial(self, key: TrialKey) -> Trial:
-        """A trial for a worker."""
+        """Returns a trial for a worker."""
         scenario = self._conditions[key.condition][key.method]
         recording = self.recordings[key.method]
         retarget = self._retargets[key.method]
         return Trial(key, dump_scenario(scenario), retarget, scenario.retargeting.latency, recording)
 
     def open(self, folder: Path) -> None:
-        """Begins in a folder, or continues there.
+        """Begins the replays in a folder, or continues them.
 
         Raises:
             BenchmarkError: the folder's trials were made with other settings.
@@ -126,10 +126,10 @@ class Replay:
 
 
 def as_recorded(scenario: Scenario, recording: Recording, object_name: str | None) -> Scenario:
-    """The scenario of a session, without random changes.
+    """Returns the scenario of a session, without random changes.
 
-    The metadata of a simulated session hold its object and seed, which determine the object's placement; for
-    other sessions the scenario does. The trial lasts for the session plus the required time of the hold.
+    The metadata of a simulated session contain object and seed, which determine the object's placement; for
+    other sessions, the scenario does. The trial lasts for the session plus the required time of the hold.
 
     Raises:
         ScenarioError: neither the session nor `object_name` names the grasped object.
@@ -142,21 +142,21 @@ def as_recorded(scenario: Scenario, recording: Recording, object_name: str | Non
     scenario.object.name = str(object_name or recorded)
     if scenario.object.name not in object_names():
         raise UnknownNameError("object", scenario.object.name, object_names())
-    thing = scenario.object
+    config = scenario.object
     seed = recording.metadata.get("seed")
-    if isinstance(seed, int) and recorded == thing.name:
+    if isinstance(seed, int) and recorded == config.name:
         drawn = draw_placement(scenario, 0.0, np.random.default_rng(seed))
         R = drawn.X_WO.rotation().matrix()
-        thing.position = [float(x) for x in drawn.X_WO.translation()[:2]]
-        thing.yaw = math.atan2(R[1, 0], R[0, 0])
-        thing.mass_factor, thing.friction_factor = drawn.mass_factor, drawn.friction_factor
-    thing.position_range = thing.yaw_range = thing.mass_range = thing.friction_range = 0.0
+        config.position = [float(x) for x in drawn.X_WO.translation()[:2]]
+        config.yaw = math.atan2(R[1, 0], R[0, 0])
+        config.mass_factor, config.friction_factor = drawn.mass_factor, drawn.friction_factor
+    config.position_range = config.yaw_range = config.mass_range = config.friction_range = 0.0
     scenario.timeout = float(recording.t[-1] - recording.t[0]) + scenario.monitor.hold_time
     return scenario
 
 
 def summarize_replay(records: Iterable[Record]) -> dict:
-    """Success for each perturbation and size over all sessions, and for each session; JSON-ready."""
+    """Returns success for each perturbation and size over all sessions, and for each session; JSON-ready."""
     records = list(records)
     judged = [record for record in records if "error" not in record]
     unchanged = [record for record in judged if not record.get("condition")]

@@ -1,4 +1,4 @@
-"""Reports of a benchmark's folder: `summary.json`, plots, `report.md`, and for grasps `report.html`."""
+"""Writes reports of a benchmark's folder: `summary.json`, plots, `report.md`, for grasps `report.html`."""
 
 import functools
 import json
@@ -23,22 +23,22 @@ from geort_drake.simulation.tasks.grasp.contacts import grip_of
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 
 SUMMARY, HTML, MARKDOWN = "summary.json", "report.html", "report.md"
-# Plots that the Markdown refers to, as files beside it; the page contains all plots.
+# Plot → file to which the Markdown report refers; the HTML report contains all plots.
 FIGURES = {"completion": "completion.svg", "sensitivity": "sensitivity.svg", "success": "success.svg"}
 _PHASES = [phase.name.lower() for phase in GraspPhase if phase not in (GraspPhase.DONE, GraspPhase.THROWN)]
 
 
 def write_grasp_report(folder: Path, people: Sequence[Record] = ()) -> dict:
-    """Writes the report of the trials that have finished so far in the folder of a grasp benchmark.
+    """Writes the report of the finished trials in the folder of a grasp benchmark.
 
     Args:
-        folder: of the benchmark.
-        people: sessions of real people, see `read_people`, which the report sets beside the trials.
+        folder: folder of the benchmark.
+        people: sessions of real people, see `read_people`, to compare with the trials.
 
     Returns:
-        The summary: that of `summarize`; `errors`, their number; `sensitivity`, see `summarize_sensitivity`;
-        `refused`: object that the hand cannot grasp → why; `config`, the benchmark's configuration; `people`,
-        see `summarize_people`, None without people.
+        The summary: the entries of `summarize`; `errors`, the number of trials with an error; `sensitivity`,
+        see `summarize_sensitivity`; `refused`: object that the hand cannot grasp → why; `config`, the
+        benchmark's configuration; `people`, see `summarize_people`, None without people.
 
     Raises:
         BenchmarkError: the folder contains no benchmark, or a damaged one.
@@ -90,7 +90,7 @@ def write_grasp_report(folder: Path, people: Sequence[Record] = ()) -> dict:
 
 
 def write_replay_report(folder: Path) -> dict:
-    """Writes the report of the replays that have finished so far; returns `summarize_replay`."""
+    """Writes the report of the finished replays; returns the result of `summarize_replay`."""
     summary = summarize_replay(read_records(folder / TRIALS))
     panels = summary["perturbations"]
     _write(folder, "replay", (MARKDOWN,), summary, {"success": success_panels(panels)} if panels else {}, {})
@@ -105,7 +105,7 @@ def _write(
     plots: Mapping[str, str],
     content: Mapping[str, object],
 ) -> None:
-    """Writes the summary, the plots (name → SVG) and the reports from the templates of a kind."""
+    """Writes the summary, the plots (name → SVG), and the reports from the templates of `kind`."""
     write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     for name, plot in plots.items():
         write_text(folder / FIGURES[name], plot)
@@ -116,7 +116,7 @@ def _write(
 
 
 def _group(summary: dict, *path: str) -> dict:
-    """Figures and differences of all methods under a path of keys such as ("objects", "cube")."""
+    """Returns figures and differences of all methods at a path of keys such as ("objects", "cube")."""
 
     def each(entries: dict[str, dict]) -> dict[str, dict]:
         return {name: functools.reduce(dict.__getitem__, path, entry) for name, entry in entries.items()}
@@ -125,7 +125,7 @@ def _group(summary: dict, *path: str) -> dict:
 
 
 def _shown(folder: Path, record: Record) -> dict:
-    """A record with its Rerun recording, if there is one, and its ending."""
+    """Returns a record with its Rerun recording, if there is one, and its ending."""
     path = rerun_path(folder, key_of(record))
     recording = path.relative_to(folder).as_posix() if path.is_file() else None
     return {**record, "rrd": recording, "ending": None if "error" in record else ending(record)}

@@ -1,4 +1,4 @@
-"""Sensitivity of a grasp benchmark to its assumptions: success and ranking in every condition."""
+"""Computes a grasp benchmark's sensitivity to its assumptions: success and ranking in every condition."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -14,14 +14,14 @@ from geort_drake.simulation.scenario import Scenario
 def summarize_sensitivity(
     records: Iterable[Record], methods: Sequence[str], scenario: Scenario
 ) -> dict[str, dict]:
-    """First-attempt success of every method in every condition, and the correlation of the rankings.
+    """Returns every method's first-attempt success in every condition, and the correlation of rankings.
 
-    Nominal trials count if their method, object and seed also have a trial in a condition of the parameter.
+    Nominal trials count if their method, object and seed have a trial in a condition of the parameter, too.
 
     Args:
-        records: with and without a condition.
-        methods: in the order of the report; those without a condition are left out.
-        scenario: the nominal one.
+        records: records with and without a condition.
+        methods: methods in the order of the report; those without a condition are left out.
+        scenario: the nominal scenario.
 
     Returns:
         Parameter → `label` and `conditions`, sorted by `value`, each with `nominal`: whether it is the
@@ -36,8 +36,8 @@ def summarize_sensitivity(
             continue
         changed = [record for group in groups.values() for record in group]
         tried = {(r["method"], r["object"], r["seed"]) for r in changed}
-        usual = parameter.nominal(scenario)
-        groups[usual] = [
+        nominal = parameter.nominal(scenario)
+        groups[nominal] = [
             r for r in judged if not r.get("condition") and (r["method"], r["object"], r["seed"]) in tried
         ]
         names = [method for method in methods if any(r["method"] == method for r in changed)]
@@ -47,9 +47,9 @@ def summarize_sensitivity(
             "conditions": [
                 {
                     "value": value,
-                    "nominal": value == usual,
+                    "nominal": value == nominal,
                     "methods": rates[value],
-                    "tau": _tau(rates[usual], rates[value]),
+                    "tau": _tau(rates[nominal], rates[value]),
                 }
                 for value in sorted(rates)
             ],

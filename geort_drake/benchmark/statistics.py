@@ -1,6 +1,6 @@
-"""Statistics of a grasp benchmark: success, time, slip and failures, with intervals and paired differences.
+"""Computes a benchmark's statistics: success, time, slip and failures, with intervals and differences.
 
-A completion time runs from the start to the beginning of the successful hold. A trial without success is
+The completion time is from the start to the beginning of the successful hold. A trial without success is
 censored at the timeout, whenever it ended.
 """
 
@@ -20,18 +20,18 @@ _BOOTSTRAP_RESAMPLES, _BOOTSTRAP_SEED = 4000, 0
 def summarize(
     records: Sequence[Record], methods: Sequence[str], timeout: float, grips: Mapping[str, str]
 ) -> dict:
-    """All figures of a benchmark, JSON-ready.
+    """Returns all figures of a benchmark, JSON-ready.
 
     Args:
-        records: in any order; those of several trainings of a method have a `training`.
-        methods: in the order of the report; differences refer to the first.
-        timeout: at which failures are censored, s.
+        records: records in any order; those of several trainings of a method have a `training`.
+        methods: methods in the order of the report; differences refer to the first.
+        timeout: time at which failures are censored, s.
         grips: object → its grip, which is its class.
 
     Returns:
         `reference`, `timeout_s`, `objects`; `classes`: grip → its objects; `methods`: name → `overall`,
-        `classes` and `objects` → `figures`; `differences`: name of every other method → the same of
-        `difference`.
+        `classes` and `objects` → result of `figures`; `differences`: name of every other method → the same
+        with the result of `difference`.
     """
     records = sorted(records, key=lambda r: (r["object"], r["seed"]))
     objects = sorted({record["object"] for record in records})
@@ -41,7 +41,7 @@ def summarize(
     by_method = {name: [record for record in records if record["method"] == name] for name in methods}
 
     def each(calculate: Callable[..., dict], *groups: Sequence[Record]) -> dict:
-        """Overall, for each class and for each object."""
+        """Calculates overall, for each class and for each object."""
 
         def of_objects(names: Sequence[str]) -> dict:
             return calculate(*([r for r in group if r["object"] in names] for group in groups), timeout)
@@ -64,17 +64,17 @@ def summarize(
 
 
 def figures(records: Sequence[Record], timeout: float) -> dict:
-    """Statistics of trials of one method; None where no trial has the quantity.
+    """Returns statistics of the trials of one method; None where no trial has the quantity.
 
     Returns:
-        Numbers of `trials` and of `errors`, which are not among them; `first_attempt_success`, `success` and
-        `tip_success`, see `proportion`; `holding`: number of successes in which each link of the hand touched
-        the held object; `completion_time_s`: `restricted_mean` up to the timeout with its interval, and
-        `median_of_successes`; `phase_s`: mean time in each phase; `slip_mm`: median and 95th percentile over
-        trials with a lift; `unattainable`: number of trials in which free play showed
-        no attainable plan; `drops_per_trial`; `peak_force_n`, median; `self_contact`, mean fraction of the
-        time; `faults`: number of outputs with each kind of fault, see `OwnMethod`; `failures`: number of
-        each `ending` other than success.
+        `trials`, their number, and `errors`, the number of further trials that raised one;
+        `first_attempt_success`, `success` and `tip_success`, see `proportion`; `holding`: number of successes
+        in which each link of the hand touched the held object; `completion_time_s`: `restricted_mean` up to
+        the timeout with its interval, and `median_of_successes`; `phase_s`: mean time in each phase;
+        `slip_mm`: median and 95th percentile over trials with a lift; `unattainable`: number of trials in
+        which free play showed no attainable plan; `drops_per_trial`; `peak_force_n`, median; `self_contact`,
+        mean fraction of the time; `faults`: number of outputs with each kind of fault, see `OwnMethod`;
+        `failures`: number of each `ending` other than success.
     """
     judged = [record for record in records if "error" not in record]
     spent = table_of(judged, axes_of(judged), lambda record: restricted_time(record, timeout))
@@ -110,7 +110,7 @@ def figures(records: Sequence[Record], timeout: float) -> dict:
 
 
 def difference(records: Sequence[Record], reference: Sequence[Record], timeout: float) -> dict:
-    """A method minus the reference, over the objects and seeds that both have results for.
+    """Returns the differences of a method to the reference, over objects and seeds with results of both.
 
     Returns:
         `pairs`; `first_attempt_success`: mean difference with its interval, `won` and `lost`: pairs in which
@@ -125,7 +125,7 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
         both = np.logical_and(*(~np.isnan(values).all(axis=0) for values in pair))
         for values in pair:
             values[:, ~both] = np.nan
-    # Trainings are paired by number; a method with fewer repeats its first one.
+    # Trainings are paired by number; a reference with fewer trainings repeats its first one.
     first = np.where(np.isnan(once[1]), once[1][:1], once[1])
     signs = (once[0] - first)[~np.isnan(once[0] - first)]
     won, lost = int((signs > 0).sum()), int((signs < 0).sum())
@@ -142,18 +142,18 @@ def difference(records: Sequence[Record], reference: Sequence[Record], timeout: 
 
 
 def ending(record: Record) -> str:
-    """A trial's outcome, and after a failure the simulated person's phase, if any."""
+    """Returns a trial's outcome, after a failure with the simulated person's phase, if any."""
     phase = None if record["success"] else record["operator_phase"]
     return record["outcome"] if phase is None else f"{record['outcome']} ({phase})"
 
 
 def restricted_time(record: Record, timeout: float) -> float:
-    """Completion time, s; the timeout for a trial without success."""
+    """Returns the completion time, s; the timeout for a trial without success."""
     return record["completion_time"] if record["success"] else timeout
 
 
 def proportion(successes: int, trials: int) -> dict:
-    """`successes`, `trials`, `rate`, and Wilson's 95 % interval `low` to `high`."""
+    """Returns `successes`, `trials`, `rate`, and Wilson's 95 % interval `low` to `high`."""
     if trials == 0:
         return {"successes": 0, "trials": 0, "rate": None, "low": None, "high": None}
     interval = binomtest(successes, trials).proportion_ci(method="wilson")
@@ -167,15 +167,15 @@ def proportion(successes: int, trials: int) -> dict:
 
 
 def mean_and_interval(values: np.ndarray, reference: np.ndarray | None = None) -> dict:
-    """`mean` of values, or its difference to that of a reference, and its interval `low` to `high`.
+    """Returns `mean` of values, or its difference to a reference's, and its interval `low` to `high`.
 
-    The interval is the 95 % percentile interval of a hierarchical bootstrap: objects are resampled, the seeds
-    of each object, and each method's trainings. Both methods share the resampled objects and seeds. A level
-    with one member does not vary; a single value gives no interval.
+    The interval is the 95 % percentile interval of a hierarchical bootstrap, which resamples objects, the
+    seeds of each object, and each method's trainings. Both methods share the resampled objects and seeds. A
+    level with one member does not vary; a single value gives no interval.
 
     Args:
-        values: (trainings, objects, seeds), NaN where there is no trial.
-        reference: the same of the reference.
+        values: (trainings, objects, seeds) values of the trials; NaN where there is none.
+        reference: the same for the reference.
     """
     groups = [values] if reference is None else [values, reference]
     if any(np.isnan(group).all() for group in groups):
@@ -200,7 +200,7 @@ def mean_and_interval(values: np.ndarray, reference: np.ndarray | None = None) -
 
 
 def _counts(rng: np.random.Generator, size: int, groups: int | None = None) -> np.ndarray:
-    """How often each of `size` members is drawn in each resample, (R, size) or (R, groups, size)."""
+    """Returns how often each of `size` members is drawn in R resamples, (R, size) or (R, groups, size)."""
     shape = (_BOOTSTRAP_RESAMPLES,) if groups is None else (_BOOTSTRAP_RESAMPLES, groups)
     return rng.multinomial(size, np.full(size, 1 / size), shape).astype(float)
 
@@ -209,7 +209,7 @@ _Axes = tuple[list[int], list[str], list[int]]
 
 
 def axes_of(records: Sequence[Record]) -> _Axes:
-    """Trainings, objects and seeds of records."""
+    """Returns the trainings, objects and seeds that occur in records, sorted."""
     return (
         sorted({r.get("training", 0) for r in records}),
         sorted({r["object"] for r in records}),
@@ -218,7 +218,7 @@ def axes_of(records: Sequence[Record]) -> _Axes:
 
 
 def table_of(records: Sequence[Record], axes: _Axes, value: Callable[[Record], float]) -> np.ndarray:
-    """Values (trainings, objects, seeds) of records, NaN where there is none."""
+    """Returns a table (trainings, objects, seeds) of the records' values; NaN where there is none."""
     table = np.full([len(axis) for axis in axes], np.nan)
     for r in records:
         trainings, objects, seeds = axes
@@ -228,7 +228,7 @@ def table_of(records: Sequence[Record], axes: _Axes, value: Callable[[Record], f
 
 
 def completed_share(records: Sequence[Record], timeout: float) -> dict[str, np.ndarray]:
-    """Fraction of trials completed over time: the Kaplan-Meier estimate with its 95 % interval.
+    """Returns the fraction of trials completed over time, a Kaplan-Meier estimate with 95 % interval.
 
     Returns:
         `t` from 0 to the timeout, s, and `share`, `low` and `high` from `t` on, all of one length.
@@ -243,7 +243,7 @@ def completed_share(records: Sequence[Record], timeout: float) -> dict[str, np.n
     failed = [timeout] * (len(judged) - len(times))
     completed = ecdf(CensoredData(uncensored=times, right=failed)).cdf
     with warnings.catch_warnings():
-        # Where all trials are completed the interval is NaN, which is replaced below.
+        # The interval is NaN where all trials are completed; it is replaced below.
         warnings.simplefilter("ignore", RuntimeWarning)
         low, high = (bound.evaluate(t) for bound in completed.confidence_interval(method="log-log"))
     share = completed.evaluate(t)

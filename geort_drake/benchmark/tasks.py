@@ -1,7 +1,7 @@
-"""Reports of any task, and the summary of several tasks and kinds of people.
+"""Writes reports of any task, and a summary of several tasks and kinds of people.
 
-FOLDER/TASK/KIND/   the benchmark of a task with one kind of simulated person, see `folder`
-FOLDER/summary.json  every figure by task, kind and method
+FOLDER/TASK/KIND/    benchmark of a task with one kind of simulated person, see `folder`
+FOLDER/summary.json  all figures by task, kind and method
 """
 
 import dataclasses as dc
@@ -24,14 +24,14 @@ GRASP = "grasp"
 
 
 def write_task_report(folder: Path, people: Sequence[Record] = ()) -> dict:
-    """Writes and returns the summary of a folder of one task; of grasps, see `write_grasp_report`.
+    """Writes and returns the summary of one task's folder; for grasps, see `write_grasp_report`.
 
     Args:
-        people: sessions of real people, see `read_people`, which are set beside grasps.
+        people: sessions of real people, see `read_people`, to compare with grasps.
 
     Returns:
-        For other tasks: `tasks`: name → kind → `task_figures`; `conditions`: name → the same methods'
-        figures; `errors`, the number of trials that raised one; `config`.
+        For tasks other than grasps: `tasks`: name → kind → result of `task_figures`; `conditions`: name →
+        `methods` of that; `errors`, the number of trials that raised one; `config`.
 
     Raises:
         BenchmarkError: the folder contains no benchmark, or a damaged one.
@@ -52,7 +52,7 @@ def write_summary(folder: Path) -> dict:
     """Writes the reports of all tasks and kinds in a folder; writes and returns their summary.
 
     Returns:
-        `tasks` and `errors`, as of `write_task_report`.
+        `tasks` and `errors`; see `write_task_report`.
     """
     tasks: dict[str, dict] = {}
     for path in sorted(folder.glob(f"*/*/{CONFIG}")):
@@ -71,12 +71,12 @@ def _write(folder: Path, summary: dict) -> dict:
 
 
 def task_of(config: dict) -> str:
-    """The task of a benchmark's configuration."""
+    """Returns the task of a benchmark's configuration."""
     return config["settings"]["scenario"].get("task", GRASP)
 
 
 def task_figures(records: Iterable[Record], config: dict, condition: str = "") -> dict:
-    """Figures that every task has, for the trials of one condition.
+    """Returns the figures that every task has, for the trials of one condition.
 
     Returns:
         `errors`: number of trials that raised an error; `refused`: case → why the hand cannot do it;
@@ -84,7 +84,7 @@ def task_figures(records: Iterable[Record], config: dict, condition: str = "") -
         with its interval, and `against_first`: its paired difference to the first method's;
         `completion_time_s`: median of successes; `peak_force_n`, median; `self_contact`, mean fraction of the
         time; `unattainable`: number of trials before which free play showed no attainable plan; `faults` of
-        an `OwnMethod`; `endings`: number of each; and the mean of each number that the task's result adds.
+        an `OwnMethod`; `endings`: number of each; and the mean of each number that the task adds to results.
     """
     chosen = [by_training(record) for record in records if record.get("condition", "") == condition]
     judged = [record for record in chosen if "error" not in record]
@@ -136,6 +136,6 @@ def _figures(records: Sequence[Record], own: Sequence[str]) -> dict:
 
 
 def _paired(values: np.ndarray, reference: np.ndarray) -> dict:
-    """The difference over the cases and seeds that both have."""
+    """Returns the mean difference over cases and seeds with values of both, and its interval."""
     both = ~np.isnan(values).all(axis=0) & ~np.isnan(reference).all(axis=0)
     return mean_and_interval(*(np.where(both, group, np.nan) for group in (values, reference)))

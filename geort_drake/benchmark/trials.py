@@ -1,4 +1,4 @@
-"""Trials of a benchmark: planning, simulation in workers, and the results file.
+"""Plans and simulates a benchmark's trials in workers, and logs their results.
 
 Workers load this module, so it imports neither training nor plots.
 """
@@ -27,11 +27,11 @@ class Trial(NamedTuple):
     """Everything a worker needs to simulate one trial.
 
     Attributes:
-        key: of the trial; its object and seed replace those of the scenario.
+        key: key of the trial; its object and seed replace those of the scenario.
         scenario_text: the resolved scenario, as YAML.
-        retarget: can be sent to another process.
-        latency: from keypoints to joint targets, s.
-        human: the simulated person and their goal, or a recorded session.
+        retarget: the method; must be picklable.
+        latency: time from keypoints to joint targets, s.
+        human: the simulated person's hand and goal, or a recorded session.
         attainable: whether free play showed the person an attainable plan.
     """
 
@@ -48,7 +48,7 @@ def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) 
 
     Args:
         log: results file in the benchmark's folder.
-        trials: to simulate.
+        trials: trials to simulate.
         jobs, backend: see `call_in_workers`.
 
     Raises:
@@ -63,13 +63,13 @@ def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) 
 def plan_cases(
     scenario_text: str, cases: Sequence[str], jobs: int, backend: str
 ) -> Iterator[tuple[str, list | str]]:
-    """Plans cases of a task in workers; yields name and result of `plan` in the cases' order."""
+    """Plans cases of a task in workers; yields each name and its result of `plan`, in order."""
     arguments = ((scenario_text, name) for name in cases)
     yield from zip(cases, call_in_workers(plan, arguments, jobs, backend, ordered=True), strict=True)
 
 
 def plan(scenario_text: str, case: str) -> list | str:
-    """The goals of a case of the scenario's task, or why the hand cannot do it."""
+    """Returns the goals for a case of the scenario's task, or why the hand cannot do it."""
     scenario = _scenario(scenario_text, case)
     try:
         return find_task(scenario.task).plans(scenario, load_hand(scenario.hand))
@@ -81,12 +81,12 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
     """Simulates a trial.
 
     Args:
-        trial: to simulate.
+        trial: trial to simulate.
         rerun_path: file of the Rerun recording; None for none.
 
     Returns:
-        The fields of the task's result, `method`, `condition`, `attainable` and, of an `OwnMethod`, `faults`;
-        after an exception, `error` with its traceback instead of a result.
+        `method`, `condition`, the fields of the task's result, `attainable`, `motion`, and `faults` of an
+        `OwnMethod`; after an exception, `error` with its traceback instead of a result.
     """
     key = trial.key
     try:

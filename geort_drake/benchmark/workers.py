@@ -1,4 +1,4 @@
-"""Worker processes, here or on a Ray cluster, that run the same code as their parent."""
+"""Runs functions in worker processes, local or on a Ray cluster, with the same code as their parent."""
 
 import functools
 import itertools
@@ -16,26 +16,26 @@ from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.files import source_digest
 from geort_drake.processes import end_with
 
-TASKS_PER_WORKER = 100  # tasks of a worker; then it is replaced, see `call_in_workers`
-# Other subpackages do not change a trial; learned weights have a digest of their own.
+TASKS_PER_WORKER = 100  # tasks after which a worker is replaced, see `call_in_workers`
+# Subpackages that determine a trial; learned weights have a separate digest.
 _TRIAL_SUBPACKAGES = ("people", "hands", "retargeting", "simulation", "systems")
 
 
 def call_in_workers(
     function: Callable, arguments: Iterable[tuple], jobs: int, backend: str = "loky", ordered: bool = False
 ) -> Iterator[Any]:
-    """Calls `function` with each of the arguments in workers, and yields the results.
+    """Calls `function` in workers, with each of `arguments`, and yields the results.
 
     Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162), and even `release` leaves
     0.4 MB of a trial. Even a single job therefore has its own process, and processes are replaced after
     `TASKS_PER_WORKER` tasks, so that they stay below 300 MB.
 
     Args:
-        function: to call; must be picklable.
-        arguments: of each call.
+        function: function to call; must be picklable.
+        arguments: arguments of each call.
         jobs: number of simultaneous calls.
         backend: "loky" for local processes, "ray" for a cluster.
-        ordered: yield results in the order of the arguments; otherwise as they are ready.
+        ordered: whether to yield results in the order of the arguments; otherwise as they are ready.
 
     Raises:
         BenchmarkError: a worker ended before its task did, or has loaded different code.
@@ -55,7 +55,7 @@ def call_in_workers(
                 if jobs == 1:
                     yield from _one_by_one(some)
                     continue
-                # Tasks are long and their arguments small: dispatched singly, without memory-mapped files.
+                # Tasks are long and their arguments small: dispatch singly, without memory-mapped files.
                 parallel = Parallel(batch_size=1, max_nbytes=None, return_as=order)
                 yield from parallel(delayed(_call)(*task) for task in some)
                 if backend != "ray":
@@ -65,7 +65,7 @@ def call_in_workers(
             "a worker process ended, perhaps because memory ran out; finished trials are kept: run the same "
             "command again, with fewer --jobs if needed"
         )
-        # Changed code that does not load is another cause.
+        # Changed code that cannot be loaded is another cause.
         if (now := _code_now()) != code:
             message += f"; the code of the trials has changed: code_sha256 is now {now}, at the start {code}"
         raise BenchmarkError(message) from error
@@ -94,7 +94,7 @@ def require_workers(jobs: int, backend: str) -> None:
     from ray.util.joblib.ray_backend import RayBackend
 
     class Backend(RayBackend):
-        # Ray's pool yields results as they come, which the inherited class does not declare.
+        # Ray's pool yields results as they are ready, but the base class does not declare it.
         supports_return_generator = True
 
     register_parallel_backend("ray", Backend)
@@ -117,14 +117,14 @@ def code_digest() -> str:
 
 
 def _batches(tasks: Iterable[tuple], count: int) -> Iterator[Iterator[tuple]]:
-    """Up to `count` of the tasks at a time; a batch must be used up before the next."""
+    """Yields batches of up to `count` tasks; a batch must be used up before the next."""
     rest = iter(tasks)
     for first in rest:
         yield itertools.chain([first], itertools.islice(rest, count - 1))
 
 
 def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:
-    """Results of `_call` from one other process; joblib would run a single job in this one."""
+    """Yields results of `_call` from one other process; joblib would run a single job in this process."""
     environment = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     executor = ProcessPoolExecutor(1, initializer=end_with, initargs=(os.getpid(),), env=environment)
     try:
@@ -135,8 +135,8 @@ def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:
 
 
 def _call(code: str, function: Callable, arguments: tuple) -> Any:
-    """Calls a function, unless this worker has loaded other code than its parent."""
-    # New workers load the code of that moment, and those of a cluster that of other machines.
+    """Calls a function; raises BenchmarkError if this worker has loaded other code than its parent."""
+    # New workers load the present code, and workers of a cluster that of other machines.
     if code_digest() != code:
         raise BenchmarkError(
             f"code_sha256: a worker on {platform.node()} has loaded different code of the trials: "
