@@ -39,7 +39,7 @@ _USAGE = "usage: geort-drake COMMAND ...\n       geort-drake COMMAND --help\n   
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs `geort-drake` with these arguments (default: the process's).
+    """Runs `geort-drake` with `argv` (default: the arguments of this process).
 
     Returns:
         The exit code: 0 success, 1 partial success, 2 invalid input, 130 interrupted.
@@ -81,7 +81,7 @@ def run_command(name: str, argv: Sequence[str]) -> int:
 
 
 def parser_of(name: str) -> "CommandParser":
-    """Makes the argument parser of a subcommand."""
+    """Returns the argument parser of a subcommand."""
     from geort_drake.cli.options import CommandParser
 
     command = load_command(name)

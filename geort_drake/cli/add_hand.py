@@ -112,7 +112,7 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
 
 
 def _rows(hand: "HandModel") -> Iterator[tuple[str, ...]]:
-    """One row per finger."""
+    """Yields a table row per finger."""
     import numpy as np
 
     p_BF = hand.fingertips(hand.sample(200))

@@ -91,11 +91,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rrd:
         if len(arguments.rrd) not in (3, 4):
             raise UsageError(f"--rrd: give METHOD OBJECT SEED [CONDITION], not {' '.join(arguments.rrd)}")
-        method, thing, seed, *condition = arguments.rrd
+        method, object_name, seed, *condition = arguments.rrd
         if not seed.isdecimal():
             raise UsageError(f"--rrd: SEED must be a whole number, not {seed}")
     if arguments.rrd and not arguments.report:
-        return repeat(arguments.output, method, thing, int(seed), *condition)
+        return repeat(arguments.output, method, object_name, int(seed), *condition)
     if arguments.submit:
         if arguments.methods or arguments.report:
             raise UsageError("--submit names the only method that runs; leave out --methods and --report")
@@ -117,7 +117,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def submit(arguments: argparse.Namespace) -> int:
-    """Runs one more method as the benchmark in --output ran the others; returns the exit code.
+    """Runs a further method under the settings of the benchmark in --output; returns the exit code.
 
     Raises:
         BenchmarkError: the folder contains no benchmark.
@@ -147,7 +147,7 @@ def submit(arguments: argparse.Namespace) -> int:
 
 
 def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
-    """Folder of each task and kind of person → its scenario.
+    """Returns folder → scenario for each task and kind of person.
 
     Raises:
         UnknownNameError: there is no such task or kind.
@@ -177,7 +177,7 @@ def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
 
 
 def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenario]") -> None:
-    """Runs the unfinished trials of the benchmarks in these folders; all are planned before any trial."""
+    """Runs the unfinished trials of the benchmarks in folders; plans all cases before the first trial."""
     from geort_drake.benchmark import folder
     from geort_drake.benchmark.conditions import ASSUMPTIONS, make_conditions, parse_values
     from geort_drake.benchmark.config import TRIALS
@@ -189,7 +189,7 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
     from geort_drake.hands.description import load_hand
     from geort_drake.simulation.tasks import find_task
 
-    # The request is checked completely before anything is computed or written.
+    # Checks the whole request before anything is computed or written.
     first = next(iter(scenarios.values()))
     arguments.methods = arguments.methods or methods_for(first.hand)
     names = names_of(arguments.methods, arguments.trainings)
@@ -249,7 +249,7 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
             ready.append((log, benchmark, [key for key in left if key.object not in refused], found))
         for log, benchmark, left, goals in ready:
             if not left:
-                continue  # all are refused
+                continue  # the hand can do none of the cases
             trials = (benchmark.trial(key, goals[key.object]) for key in left)
             records = run_trials(log, trials, min(arguments.jobs, len(left)), arguments.backend)
             for _ in track("simulating", records, len(left), outcome_line):
@@ -257,11 +257,11 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
 
 
 def cases_of(task: "Task", asked: Sequence[str] | None) -> list[str]:
-    """The requested cases that the task has; all of its cases if it has none of them."""
+    """Returns the requested cases that the task has, or all of its cases if it has none of those."""
     return [name for name in dict.fromkeys(asked or ()) if name in task.cases()] or task.cases()
 
 
-def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = "") -> int:
+def repeat(folder: Path, method: str, object_name: str, seed: int, condition: str = "") -> int:
     """Simulates a finished trial again and records it; raises BenchmarkError if the outcome differs."""
     from geort_drake.benchmark.folder import code_has_changed, repeat_trial
     from geort_drake.benchmark.records import TrialKey
@@ -271,7 +271,7 @@ def repeat(folder: Path, method: str, thing: str, seed: int, condition: str = ""
     if code_has_changed(folder):
         warn("the simulation code has changed since this trial; the outcome may differ")
     with progress_bar() as display, display.spinner("simulating"):
-        record, path = repeat_trial(folder, TrialKey(method, thing, seed, condition))
+        record, path = repeat_trial(folder, TrialKey(method, object_name, seed, condition))
     if "error" in record:
         say(record["error"])
         return 1

@@ -1,4 +1,4 @@
-"""The tables that `geort-drake benchmark` prints."""
+"""Prints the tables of `geort-drake benchmark`."""
 
 import argparse
 from collections.abc import Iterator
@@ -63,7 +63,7 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
 
 
 def _rows(summary: dict) -> Iterator[list[str]]:
-    """One row per method."""
+    """Yields a row per method."""
     for name, entry in summary["methods"].items():
         of = entry["overall"]
         once, success = of["first_attempt_success"], of["success"]
@@ -83,7 +83,7 @@ def _rows(summary: dict) -> Iterator[list[str]]:
 
 
 def _people_rows(summary: dict) -> Iterator[list[str]]:
-    """One row a map of real people, and one a method of the simulated person."""
+    """Yields a row per map of real people and per method of the simulated person."""
     rows = {f"{of['persons']} people, {name}": of for name, of in summary["people"].items()}
     rows |= {f"simulated, {name}": of for name, of in summary["simulated"].items()}
 

@@ -22,7 +22,7 @@ _POLL_PERIOD_S = 1.0
 
 def add_arguments(parser: CommandParser) -> None:
     add_reading_arguments(parser)
-    parser.set_defaults(output=None)  # which `convert` has
+    parser.set_defaults(output=None)  # only `convert` has this argument
     parser.add_json("the report")
     add = parser.add_argument
     add(
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         recording = _read(arguments, findings)
     except RecordingError as error:
-        # A file that cannot be read has no finding of a check.
+        # A file that cannot be read has no findings.
         read = findings or [Finding("file", Severity.ERROR, str(error).removeprefix(f"{name}: "))]
         write_json(arguments.json, report(name, None, read))
         raise
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _read(arguments: argparse.Namespace, findings: "list[Finding]") -> "Recording":
-    """Reads and checks the recording; adds what was found to `findings`, also if it is refused."""
+    """Reads and checks the recording; adds findings to `findings`, even if it is refused."""
     from geort_drake.people.checks import examine, refuse
     from geort_drake.people.readers import open_recording
 
@@ -126,7 +126,7 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
 
 
 def _watch(arguments: argparse.Namespace) -> None:
-    """Shows the motions that a growing file lacks, until none is missing or Ctrl-C is pressed."""
+    """Shows the motions that a growing file lacks until none is missing, or Ctrl-C."""
     seen = None
     with contextlib.suppress(KeyboardInterrupt):
         while True:

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise OutputError(f"{source}: the trials of a run are Rerun recordings already: {source}/*.rrd")
         write_hand(read_recording(source, arguments.side), output, arguments.fps or 30)
     else:
-        # A missing input is read as a run, whose message says what a run needs.
+        # A missing input is read as a run, because that error says what a run needs.
         if is_run or not source.exists():
             episodes = read_episodes(source)
         else:

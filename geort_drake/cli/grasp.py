@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks import find_task
 
-    # The request is checked completely before anything is computed or written.
+    # Checks the whole request before anything is computed or written.
     base, replay = _request(arguments)
     description = load_hand(base.hand)
     hand = HandModel(description)
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
     scenarios = scenarios_of(arguments, base, replay)
     recording = training_recording(arguments.recording, side, arguments.seed)
 
-    # Planning comes before training because it shows whether the robot can grasp the objects at all.
+    # Plans before training, because planning shows whether the robot can grasp the objects at all.
     plans: dict[str, Any] = {}
     if replay is None:
         names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
@@ -159,15 +159,15 @@ def run(arguments: argparse.Namespace) -> int:
             if not results:
                 # An earlier run's results are removed first, because they had another scenario.
                 (arguments.output / RESULTS).unlink(missing_ok=True)
-                # That of the first trial; the others differ in object and seed, which are in results.json.
+                # The first trial's scenario; the others differ in object and seed, which are in results.json.
                 write_text(arguments.output / SCENARIO, dump_scenario(scenario))
             if recorded.exists():
                 recorded.replace(arguments.output / recorded.name)
-                with contextlib.suppress(OSError):  # it may contain others
+                with contextlib.suppress(OSError):  # the folder may contain other files
                     recorded.parent.rmdir()
             glove.save(arguments.output / f"{stem}.glove.npz")
             results.append(result)
-            # After each trial, so that an interrupted run keeps those that ended.
+            # Written after each trial, so that an interrupted run keeps the finished ones.
             report |= {
                 "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
                 "successes": sum(result.success for result in results),
@@ -192,7 +192,7 @@ def run(arguments: argparse.Namespace) -> int:
 def scenarios_of(
     arguments: argparse.Namespace, base: "Scenario", replay: "Recording | None" = None
 ) -> list["Scenario"]:
-    """One scenario per trial: `base` with its object and seed, or a session's, until the session's end."""
+    """Returns a scenario per trial, from `base`; a session sets its own object, seed and timeout."""
     from geort_drake.simulation.scenario_files import check_scenario, names_object
     from geort_drake.simulation.tasks import find_task
 
@@ -222,7 +222,7 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
     Args:
         retargeter: checkpoint or map.
         hand: name or description file.
-        recording: on which the retargeter was trained.
+        recording: recording on which the retargeter was trained.
     """
     from geort_drake import load_hand
     from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_of
@@ -235,9 +235,9 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
 
 
 def _request(arguments: argparse.Namespace) -> "tuple[Scenario, Recording | None]":
-    """The scenario, and the recording of --replay, which needs wrist poses unless the base is fixed.
+    """Returns the scenario and the recording of --replay, which needs wrist poses unless the base is fixed.
 
-    A session of another task has that task's scenario, unless an option selects one.
+    A session of another task uses that task's scenario, unless an option selects one.
     """
     from geort_drake import load_hand, load_scenario, read_recording
     from geort_drake.simulation.tasks import find_task

@@ -151,7 +151,7 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         if receiver:
             receiver.close()
-        # Also after a session that ended with an error.
+        # Finishes the recording even if the session ended with an error.
         recorded = recorder is not None and recorder.finish()
     summary = summary_of(report, loop, link)
     print_summary(summary)
@@ -162,7 +162,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:
-    """Warns of addresses through which others in the network can move the robot."""
+    """Warns of addresses through which other machines can move the robot."""
     from geort_drake.console import warn
     from geort_drake.live.transports import heard_from_outside, is_local, split_address
 

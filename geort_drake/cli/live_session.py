@@ -1,4 +1,4 @@
-"""What sessions of `geort-drake live` have in common: the map, messages and the report."""
+"""Shared by all sessions of `geort-drake live`: loading the map, messages and the report."""
 
 import argparse
 import dataclasses
@@ -19,7 +19,7 @@ from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter, 
 
 
 def checkpoint_of(arguments: argparse.Namespace, description: HandDescription) -> Path:
-    """The requested checkpoint or map; by default the hand's universal map, else one trained now."""
+    """Returns the requested checkpoint or map; by default the hand's universal map, else a trained one."""
     hand = scenario_of(arguments).hand
     if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
         return path
@@ -28,7 +28,7 @@ def checkpoint_of(arguments: argparse.Namespace, description: HandDescription) -
 
 
 def load(path: Path, description: HandDescription, backend: str) -> Retargeter | UniversalRetargeter:
-    """The retargeter of a checkpoint or map."""
+    """Loads the retargeter of a checkpoint or map."""
     return load_retargeter(path, HandModel(description), backend)
 
 
@@ -41,7 +41,7 @@ def say_state(time: float, state: str) -> None:
 
 
 def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | None) -> dict:
-    """The report of a session, for --json."""
+    """Returns the report of a session, for --json."""
     summary = dataclasses.asdict(report)
     if (meter := loop.meter) is not None:
         glove = loop.glove
@@ -62,7 +62,7 @@ def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | Non
 
 
 def print_summary(summary: dict) -> None:
-    """The session in a few lines."""
+    """Prints the summary in a few lines."""
     for name, text in (("command", "glove to command"), ("echo", "glove to the robot and back")):
         latency = summary.get("latency_s", {}).get(name)
         if latency and latency["count"]:

@@ -1,4 +1,4 @@
-"""`geort-drake live` with the page: serves it and runs its sessions."""
+"""Runs `geort-drake live` with the page: serves it and runs its sessions."""
 
 import argparse
 import contextlib
@@ -25,14 +25,14 @@ from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.task import Task
 from geort_drake.simulation.tasks import find_task, task_names
 
-# Where the page's recordings go, unless --record names a folder.
+# Folder of the page's recordings, unless --record names another.
 _RECORDINGS = Path("runs/live")
 
 
 def run_web(
     arguments: argparse.Namespace, scenario: Scenario, description: HandDescription, lcm_url: str | None
 ) -> int:
-    """Serves the page and runs its sessions; arguments as in `geort_drake.cli.live.run`."""
+    """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
     if arguments.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
     if lcm_url:
@@ -90,7 +90,7 @@ def run_web(
         finally:
             control.close()
     summary = summary_of(report, loop, link)
-    # A page's clock begins when it is loaded, so its offset says nothing.
+    # A page's clock starts when the page is loaded, so its offset is meaningless.
     counts = {"received": station.received, "refused": station.refused + server.dropped}
     summary["glove"] |= {**counts, "clock_offset_s": None}
     print_summary(summary)
@@ -105,7 +105,7 @@ def run_web(
 
 
 def _like(scenario: Scenario, task: Task) -> Scenario:
-    """The scenario of another task, with the same hand, safety and seed."""
+    """Returns the scenario of another task, with the same hand, retargeting, safety and seed."""
     other = load_scenario(*task.scenario, None, scenario.hand)
     for name in ("random_seed", "retargeting", "correction", "wrist_to_arm"):
         setattr(other, name, copy.deepcopy(getattr(scenario, name)))

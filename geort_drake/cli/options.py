@@ -24,7 +24,7 @@ from geort_drake.resources import models_dir
 if TYPE_CHECKING:
     from geort_drake.simulation.scenario import Scenario
 
-# Names from modules that import slowly, repeated here to keep --help fast; tests compare them.
+# Copies of names from modules that import slowly, to keep --help fast; tests compare them.
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
 DEFAULT_METHOD = "geort_coupled"
@@ -57,7 +57,7 @@ class _Help(argparse.RawDescriptionHelpFormatter):
 class CommandParser(argparse.ArgumentParser):
     """A parser with --quiet and the options that commands share.
 
-    Options may stand between positional arguments.
+    Options may appear between positional arguments.
 
     Args:
         program: name in the usage line.
@@ -86,13 +86,13 @@ class CommandParser(argparse.ArgumentParser):
         self.add_argument("--output", type=kind, default=default, help="folder for the results")
 
     def add_hand(self, default: str | None = DEFAULT_HAND, note: str = "", group: Any = None) -> None:
-        """Adds --hand; `note` tells the help what happens without it."""
+        """Adds --hand; `note` describes the default in the help."""
         names = ", ".join(sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml")))
         text = f"robot hand: one of {names}, or a description file{note}"
         (group or self).add_argument("--hand", default=default, help=text)
 
     def add_seed(self, what: str) -> None:
-        """Adds --seed; `what` names what the seed decides."""
+        """Adds --seed; `what` names what the seed determines."""
         self.add_argument("--seed", type=at_least(0), default=0, help=f"seed of {what}")
 
     def add_side(self, default: str | None = None) -> None:
@@ -122,7 +122,7 @@ class CommandParser(argparse.ArgumentParser):
 
 
 def methods_for(hand: str) -> tuple[str, ...]:
-    """All methods; the universal map only where one is shipped for the hand, given by name or file."""
+    """Returns all methods; the universal map only if one is shipped for the hand, a name or file."""
     from geort_drake.hands.description import load_hand
     from geort_drake.retargeting.map_file import shipped_maps
     from geort_drake.retargeting.methods import shipped_methods, trained_methods, untrained_methods
@@ -132,7 +132,7 @@ def methods_for(hand: str) -> tuple[str, ...]:
 
 
 def _list(name: str) -> str:
-    """The text for a placeholder of an epilog."""
+    """Returns the text for a placeholder of an epilog."""
     from geort_drake.people.formats import FORMATS
     from geort_drake.retargeting.methods import shipped_methods, trained_methods, untrained_methods
 
@@ -144,7 +144,7 @@ def _list(name: str) -> str:
     return "methods:\n" + "".join(f"  {method.name:18} {method.summary}\n" for method in methods)
 
 
-# -- types of options
+# -- option types
 
 
 def _number(read: Callable[[str], Any], fits: Callable[[Any], bool], expected: str) -> Callable[[str], Any]:
@@ -158,7 +158,7 @@ def _number(read: Callable[[str], Any], fits: Callable[[Any], bool], expected: s
 
 
 def at_least(lowest: int) -> Callable[[str], int]:
-    """Makes the type of whole numbers from `lowest` on."""
+    """Returns the type of whole numbers from `lowest` on."""
     return _number(int, lambda value: value >= lowest, f"a whole number, at least {lowest}")
 
 
@@ -168,7 +168,7 @@ finite = _number(float, lambda value: 0 < value < math.inf, "a positive, finite 
 
 
 def output_file(suffix: str) -> Callable[[str], Path]:
-    """Makes the type of a writable file (else OutputError) with that suffix (else UsageError)."""
+    """Returns the type of a writable file (else OutputError) with that suffix (else UsageError)."""
 
     def path(text: str) -> Path:
         if Path(text).suffix != suffix:
@@ -180,7 +180,7 @@ def output_file(suffix: str) -> Callable[[str], Path]:
 
 
 def output_folder(text: str) -> Path:
-    """A folder to write, which may exist and must be writable (else OutputError)."""
+    """Option type: a folder to write, which may exist and must be writable (else OutputError)."""
     require_writable(text, directory=True)
     return Path(text)
 
@@ -203,7 +203,7 @@ def _results_folder(mark: str) -> Callable[[str], Path]:
 def _json_file(text: str) -> Path:
     if text == str(STDOUT):
         return STDOUT
-    # The word after --json may be meant as another argument, such as a recording: do not overwrite it.
+    # The word after --json may be another argument, such as a recording, which must not be overwritten.
     if Path(text).suffix != ".json":
         raise argparse.ArgumentTypeError(
             f"{text}: the name must end with .json; to print on stdout, give --json last"
@@ -211,11 +211,11 @@ def _json_file(text: str) -> Path:
     return output_file(".json")(text)
 
 
-# -- what options stand for
+# -- objects that options select
 
 
 def scenario_of(arguments: argparse.Namespace) -> "Scenario":
-    """The scenario that the options of `CommandParser.add_scenario` select; raises as `load_scenario`."""
+    """Loads the scenario that the options of `add_scenario` select; for errors see `load_scenario`."""
     from geort_drake import load_scenario
 
     return load_scenario(
@@ -230,9 +230,9 @@ def write_json(target: Path | None, content: Any, done: bool = True) -> None:
     """Writes `content` as --json requests: to stdout, to a file, or nowhere.
 
     Args:
-        target: the option's value.
+        target: value of the option.
         content: JSON data; non-finite numbers become null.
-        done: False for a draft, which is written to a file but not to stdout.
+        done: False for intermediate content, which is written to a file but not to stdout.
     """
     if target is None or (target == STDOUT and not done):
         return
@@ -271,10 +271,10 @@ def view(path: str | os.PathLike | None, pattern: str = "") -> str | None:
 
 
 def _program(name: str) -> list[str]:
-    """Name of a program installed beside this Python if the shell finds it, else its path."""
-    beside = Path(sys.executable).with_name(name)
+    """Returns the name of a program installed next to this Python if the shell finds it, else its path."""
+    installed = Path(sys.executable).with_name(name)
     found = shutil.which(name)
-    if beside.exists():
-        same = found is not None and Path(found) == beside
-        return [name if same else min(str(beside), os.path.relpath(beside), key=len)]
+    if installed.exists():
+        same = found is not None and Path(found) == installed
+        return [name if same else min(str(installed), os.path.relpath(installed), key=len)]
     return [*_program("python"), "-m", "geort_drake"] if name == "geort-drake" else [name]

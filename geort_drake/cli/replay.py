@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _rows(summary: dict) -> Iterator[tuple[str, ...]]:
-    """One row per perturbation and size."""
+    """Yields a row per perturbation and size."""
     for panel in summary["perturbations"].values():
         for condition in panel["conditions"]:
             (share,) = condition["methods"].values()

@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
 
         recorder = TrainingRecorder(HandModel(description), recording, arguments.seed)
     with warnings.catch_warnings():
-        # The checkpoint keeps them, and they are shown below.
+        # The checkpoint stores the warnings, which are shown below.
         warnings.simplefilter("ignore", RuntimeWarning)
         path = train_checkpoint(
             arguments.hand,
@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Settings of the method out of --preset, --set, --steps and --fk; later ones take precedence."""
+    """Returns the method's settings from --preset, --set, --steps and --fk; later ones take precedence."""
     from geort_drake.comparison.train import training_config
     from geort_drake.retargeting.methods.geort import PRESETS
     from geort_drake.settings import parse_settings
@@ -115,7 +115,7 @@ def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def metric_rows(metrics: dict) -> Iterator[tuple[str, str]]:
-    """Metrics and their values as text."""
+    """Yields names of metrics and their values as text."""
 
     def text(form: str, *values: float | None) -> str:
         return " / ".join("–" if value is None else form.format(value) for value in values)
