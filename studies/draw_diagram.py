@@ -2,7 +2,7 @@
 
 python studies/draw_diagram.py
 
-The picture shows the connected ports and what flows between them. Needs Graphviz's `dot`. Draw it anew after
+The picture shows the connected ports and the values between them. Needs Graphviz's `dot`. Run it again when
 systems or ports have changed.
 """
 
@@ -36,7 +36,7 @@ PALE = "#B9B8B0"
 
 @dc.dataclass(frozen=True)
 class Group:
-    """Systems that are drawn together; groups of one column stand below each other."""
+    """Systems that are drawn together; groups with the same column are stacked."""
 
     title: str
     column: int
@@ -86,7 +86,7 @@ def draw_scenario(scenario: Scenario) -> str:
 
 
 def build(scenario: Scenario, rerun_path: Path) -> TrialDiagram:
-    """The scenario's diagram with a stand-in retargeter and goal, which do not change the picture."""
+    """Returns the scenario's diagram with a dummy retargeter and goal, which do not change the picture."""
     description = load_hand(scenario.hand)
     fingers = len(description.fingers)
 
@@ -97,6 +97,7 @@ def build(scenario: Scenario, rerun_path: Path) -> TrialDiagram:
     goal = GraspGoal(
         finger_names=tuple(description.finger_names),
         touches=np.ones(fingers, bool),
+        clearance=0.0,
         X_OB=RigidTransform(),
         X_OB_before=RigidTransform(),
         p_BF_open=np.zeros((fingers, 3)),
@@ -107,12 +108,12 @@ def build(scenario: Scenario, rerun_path: Path) -> TrialDiagram:
     return make_trial_diagram(scenario, hold, (HumanHand.anatomical(), goal), rerun_path)
 
 
-# -- from the diagram to what is drawn
+# -- from the diagram to boxes and lines
 
 
 @dc.dataclass
 class Box:
-    """One or several like systems, with their connected ports: name → its order, and what flows there."""
+    """A system or several similar ones, with connected ports: name → order, and type of the value."""
 
     title: str
     kind: str
@@ -123,7 +124,7 @@ class Box:
 
 @dc.dataclass(frozen=True)
 class Line:
-    """A connection from an output to an input of two boxes, by key and port name."""
+    """A connection from an output of one box to an input of another, by key and port name."""
 
     source: str
     output: str
@@ -132,7 +133,7 @@ class Line:
 
 
 def boxes_and_lines(diagram: Any, delay_text: str) -> tuple[dict[str, Box], list[Line]]:
-    """What to draw, sorted so that one diagram always gives one picture."""
+    """Returns boxes and lines, sorted so that a diagram always gives the same picture."""
     found = [
         (source, source.get_output_port(out), target, target.get_input_port(into))
         for (target, into), (source, out) in diagram.connection_map().items()
@@ -147,7 +148,7 @@ def boxes_and_lines(diagram: Any, delay_text: str) -> tuple[dict[str, Box], list
             name, port_name, order = system.get_name(), port.get_name(), port.get_index()
             kind = re.sub(r"[^A-Za-z].*", "", type(system).__name__)
             if kind == "DiscreteTimeDelay":
-                # The delays are alike, so they are one box with a port each, in the order of what they join.
+                # The similar delays are drawn as one box with a port each, in the order of their neighbours.
                 port_name, name, kind = name.removesuffix("_seen_late"), "seen_late", delay_text
                 order = others.get_index()
             box = boxes.setdefault(name, Box(name.replace("_", " "), kind, group_of(name)))
@@ -162,12 +163,12 @@ def boxes_and_lines(diagram: Any, delay_text: str) -> tuple[dict[str, Box], list
 
 
 def group_of(name: str) -> str:
-    """The group a system of that name belongs to; the last one takes what no other does."""
+    """Returns the key of the group of a system; systems without a group go to the last one."""
     return next((key for key, group in GROUPS.items() if name in group.members), "results")
 
 
 def content(port: Any) -> str:
-    """What flows out of a port: the size of a vector, or the type of an abstract value."""
+    """Describes the value of a port: the size of a vector, or the type of an abstract value."""
     if port.get_data_type() == PortDataType.kVectorValued:
         return str(port.size())
     value = port.Allocate().get_value()
@@ -180,10 +181,10 @@ def content(port: Any) -> str:
 
 
 def draw(diagram: Any, delay_text: str) -> str:
-    """The diagram as SVG.
+    """Returns the diagram as SVG.
 
     Args:
-        delay_text: what stands on the delays between the scene and the human.
+        delay_text: text on the delays between the scene and the human.
     """
     pydot: Any = importlib.import_module("pydot")  # slow to import, and its types are wrong
 
@@ -195,7 +196,7 @@ def draw(diagram: Any, delay_text: str) -> str:
         fontname=FONT,
         fontsize="12",
         fontcolor="#6B6A64",
-        label="Beside an output stands the size of its vector, or the type of its value. "
+        label="Next to each output: the size of its vector, or the type of its value. "
         "A thick arrow stands for several connections.",
         nodesep="0.3",
         ranksep="0.4",
@@ -223,12 +224,12 @@ def draw(diagram: Any, delay_text: str) -> str:
     for attributes in edges(boxes, lines):
         graph.add_edge(pydot.Edge(**attributes))
     svg = graph.create(prog="dot", format="svg").decode("utf-8")
-    # Graphviz names its version in a comment; the picture shall not change with it.
+    # Graphviz writes its version in a comment, which must not change the picture.
     return re.sub(r"<!--.*?-->\n?", "", svg, flags=re.DOTALL)
 
 
 def table(box: Box, color: str) -> str:
-    """A box with its inputs on the left, and on the right its outputs with what flows there."""
+    """Returns a box with inputs on the left, and outputs with their types on the right."""
 
     def cell(prefix: str, name: str, text: str, side: str) -> str:
         return f'<TR><TD PORT="{prefix}{port_id(name)}" ALIGN="{side}">{text}</TD></TR>'
@@ -253,7 +254,7 @@ def table(box: Box, color: str) -> str:
 
 
 def edges(boxes: dict[str, Box], lines: list[Line]) -> Iterator[dict[str, str]]:
-    """One arrow a connection, but one for all from one box into a recorder or back to the human."""
+    """Yields an arrow per connection, but only one from a box to a recorder or back to the human."""
     bundled = set()
     for line in lines:
         source, target = GROUPS[boxes[line.source].group], GROUPS[boxes[line.target].group]
@@ -263,7 +264,7 @@ def edges(boxes: dict[str, Box], lines: list[Line]) -> Iterator[dict[str, str]]:
             "color": PALE if recording else source.color,
             "penwidth": "1.4",
             "arrowsize": "0.8",
-            # What flows back must not pull its target to the right of its source.
+            # A line that leads back must not move its target to the right of its source.
             "constraint": "false" if source.column > target.column else "true",
         }
         if not (recording or seeing):
@@ -276,7 +277,7 @@ def edges(boxes: dict[str, Box], lines: list[Line]) -> Iterator[dict[str, str]]:
 
 
 def port_id(name: str) -> str:
-    """A port's name as Graphviz takes it."""
+    """Returns a port's name as a Graphviz identifier."""
     return re.sub(r"\W", "_", name)
 
 

@@ -1,10 +1,11 @@
-"""Takes the live page's film for the docs: a hand that sees only the page grasps the cylinder.
+"""Makes the docs' film of the live page: a scripted hand that sees only the page grasps the cylinder.
 
 python studies/live_page.py --output docs/images
 
-The simulation is stepped between pictures, so any machine gives the same film. The camera's picture is of a
-rendered hand; the page tracks it, but the script's exact joints move the robot. Needs Chromium and
-`make live NPM_ARGS=`. `--states DIR` also writes states of the page, light and dark, on desktop and phone.
+The simulation is stepped between pictures, so any machine gives the same film. The camera shows a rendered
+hand, which the page tracks, but the script's exact joints move the robot. Needs Chromium and
+`make live NPM_ARGS=`. `--states DIR` also writes pictures of the page's states, light and dark, on desktop
+and phone.
 """
 
 import argparse
@@ -31,6 +32,7 @@ from geort_drake.live.teleoperation import RobotModel  # noqa: E402
 from geort_drake.live.web.control import PageControl  # noqa: E402
 from geort_drake.live.web.messages import Engage, Guide  # noqa: E402
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo  # noqa: E402
+from geort_drake.live.web.personal_map import PersonalMap  # noqa: E402
 from geort_drake.live.web.server import WebServer  # noqa: E402
 from geort_drake.live.web.session import WebTeleoperation  # noqa: E402
 from geort_drake.retargeting.retargeter import load_retargeter  # noqa: E402
@@ -55,12 +57,12 @@ SCRIPTS = """
   setInterval(() => context.drawImage(picture, 0, 0), 300);
   navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(3);
 """
-# Without the number that `draw` writes into its copy.
+# Reads the first canvas; `draw` writes its number only into a copy of it.
 DRAW = "(draw(0), document.querySelector('canvas').toDataURL('image/jpeg', 0.92))"
 
 
 class ScriptedStation(OperatorStation):
-    """A station at which the page has the controls, and the script the hand."""
+    """A station where the page is the operator but the script moves the hand."""
 
     def take(self, person, text):
         return None if '"camera"' in text[:60] or '"lost"' in text[:60] else super().take(person, text)
@@ -74,7 +76,7 @@ class ScriptedStation(OperatorStation):
 
 
 class Theatre:
-    """The simulation, its server and the page, which advance together."""
+    """The simulation, its server and the page, advanced together."""
 
     def __init__(self, browser, folder: Path):
         self.scenario = load_scenario()
@@ -93,9 +95,8 @@ class Theatre:
 
         self.server.publish = shown
         retarget = load_retargeter(self.scenario.hand)
-        self.control = PageControl(
-            self.station, self.server.publish, folder, folder, lambda path: retarget, lambda *_: None
-        )
+        personal_map = PersonalMap(folder, lambda _: retarget)
+        self.control = PageControl(self.station, self.server.publish, folder, personal_map, lambda *_: None)
         description = load_hand(self.scenario.hand)
         session = WebTeleoperation(
             {"grasp": self.scenario}, description, RobotModel(self.scenario, description), retarget,
@@ -118,14 +119,14 @@ class Theatre:
         self.person = None
 
     def show_hand(self, share: float) -> None:
-        """Poses the hand before the camera between flat and pinching."""
+        """Poses the hand in front of the camera, `share` of the way from flat to pinching."""
         posture = {name: (np.array(FLAT[name]) * (1 - share) + np.array(PINCH[name]) * share).tolist()
                    for name in FLAT}  # fmt: skip
         self.hand.evaluate("posture => pose(posture)", posture)
         self.page.evaluate("url => film(url)", self.hand.evaluate(DRAW))
 
     def step(self, *commands) -> None:
-        """Advances by a sixtieth of a second; the person sees what the page gets."""
+        """Advances by `STEP_S`; the person sees the frames that the page gets."""
         self.station.commands.extend(commands)
         self.control._published = -np.inf
         engaged = self.control.step(self.context, self.engaged)
@@ -143,7 +144,7 @@ class Theatre:
         return Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")
 
     def save(self, folder: Path | None, name: str) -> None:
-        """Writes a state, light and dark, of a desktop and a phone."""
+        """Writes pictures of the present state, light and dark, on desktop and phone."""
         desktop = self.page.viewport_size
         for device, size in (("phone", PHONE), ("desktop", desktop)) if folder else ():
             self.page.set_viewport_size(size)
@@ -182,7 +183,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         held = 0
         while not (outcome := theatre.loop.outcome(theatre.context)).over or held < 5:
             held += outcome.over
-            # The page draws only what is pictured.
+            # The page gets only the frames that are pictured.
             for number in range(every):
                 theatre.shown = number >= every - 2
                 theatre.step()
