@@ -1,7 +1,7 @@
-"""Known affine maps from human to robot fingertips, on which the simulated person is tried out.
+"""Known affine maps from human to robot fingertips, to calibrate the simulated person.
 
-They are no retargeting method under test: gain, rotation and offset are given, so what they do to a
-grasp is known beforehand, and the person's parameters can be chosen without looking at a method.
+They are not methods under test: gain, rotation and offset are given, so their effect on a grasp is known
+beforehand, and the person's parameters can be chosen without looking at a method.
 """
 
 from collections.abc import Sequence
@@ -12,18 +12,18 @@ from geort_drake.hands.model import HandModel
 
 
 class AffineMap:
-    """Moves each robot fingertip by gain · R times what the human fingertip moves, by inverse kinematics.
+    """Moves each robot fingertip by gain · R times the human fingertip's motion, by inverse kinematics.
 
-    p_BF = p_BF0 + offset + gain · R_BH · (p_HF − p_HF0), where the zeros are the robot's default pose
-    and the human's given rest. Each call continues from the last one's joint positions (damped least
-    squares within the joint limits); `reset` starts again at the default pose.
+    p_BF = p_BF0 + offset + gain · R_BH · (p_HF − p_HF0), where p_BF0 is the robot's default pose and p_HF0
+    the human's rest. Each call starts from the last call's joint positions (damped least squares within the
+    joint limits); `reset` returns to the default pose.
 
     Args:
         hand: the robot hand.
-        p_HF_rest: (F, 3) human fingertips, in the hand's finger order, that meet the default pose, m.
-        gain: robot motion over human motion.
-        R_BH: rotation of the motion's direction, (3, 3).
-        offset: added to every robot fingertip, (3,) m.
+        p_HF_rest: (F, 3) human fingertips that correspond to the default pose, in the hand's finger order, m.
+        gain: robot motion per human motion.
+        R_BH: (3, 3) rotation of the motion's direction.
+        offset: (3,) offset of every robot fingertip, m.
     """
 
     def __init__(
@@ -51,15 +51,15 @@ class AffineMap:
         self._q = self._hand.default_position.copy()
 
     def target(self, p_HF: np.ndarray) -> np.ndarray:
-        """Where the map puts the robot's fingertips, (F, 3) m in B, reachable or not."""
+        """Returns target positions of the robot's fingertips, (F, 3) m in B, reachable or not."""
         return self._p_BF_rest + (np.asarray(p_HF, float) - self._p_HF_rest) @ self._G.T
 
     def __call__(self, p_H: np.ndarray) -> np.ndarray:
-        """Joint positions (n,) rad for keypoints (21, 3) or fingertips (F, 3), m in H."""
+        """Returns joint positions (n,), rad, for keypoints (21, 3) or fingertips (F, 3), m in H."""
         p_H = np.asarray(p_H, float)
         target = self.target(p_H[self._keypoints] if len(p_H) == 21 else p_H)
         q, error = self._solve(target, self._q, 3)
-        # A finger folded the wrong way does not find back by small steps; it starts over.
+        # A finger that is folded the wrong way cannot recover by small steps, so it starts over.
         stuck = error > 0.03
         if stuck.any():
             again, error_again = self._solve(target, self._hand.default_position, 30)
@@ -69,7 +69,7 @@ class AffineMap:
         return q.copy()
 
     def _solve(self, target: np.ndarray, q: np.ndarray, iterations: int) -> tuple[np.ndarray, np.ndarray]:
-        """Joint positions near q for fingertips at target, and the (F,) errors left, m."""
+        """Returns joint positions near q with the fingertips near `target`, and remaining errors (F,), m."""
         q = q.copy()
         for _ in range(iterations):
             p_BF, jacobians = self._linearise(q)
@@ -80,10 +80,10 @@ class AffineMap:
         return q, np.linalg.norm(target - self._hand.fingertips(q), axis=1)
 
     def _linearise(self, q: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Fingertips (F, 3) at q, and each one's derivative by its own finger's joints, (3, k)."""
+        """Returns fingertips (F, 3) at q, m, and each one's Jacobian (3, k) by its own finger's joints."""
         step = 1e-5
         deepest = max(len(columns) for columns in self._columns)
-        # No joint moves two fingertips, so the k-th joints of all fingers are moved in one go.
+        # No joint moves two fingertips, so the k-th joints of all fingers are moved at once.
         moved = np.tile(q, (deepest + 1, 1))
         for columns in self._columns:
             for k, column in enumerate(columns):

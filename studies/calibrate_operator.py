@@ -1,10 +1,10 @@
-"""Calibration of the simulated person: how well does it grasp through known affine maps?
+"""Calibrates the simulated person: how well does it grasp through known affine maps?
 
 python studies/calibrate_operator.py --json calibration.json
 
 The person's parameters are chosen by this table alone, without any method under test: maps of known gain,
-rotation and offset, objects of each grip, a few seeds. Prints how many grasps succeed; --json keeps every
-trial.
+rotation and offset, objects of each grip, a few seeds. Prints the number of successful grasps; --json saves
+every trial.
 """
 
 import copy
@@ -37,7 +37,7 @@ OBJECTS = ("cylinder", "cube", "sphere", "block_tiny", "rod", "bottle")
 
 
 def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None) -> dict:
-    """One grasp through one map."""
+    """Simulates a grasp through a map and returns its record."""
     from affine_map import AffineMap
 
     from geort_drake.hands.description import load_hand
@@ -49,14 +49,14 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
     from geort_drake.simulation.trial import run_trial
 
-    # Drake tells the same things in every trial.
+    # Drake repeats the same warnings in every trial.
     logging.getLogger("drake").setLevel(logging.ERROR)
     scenario = copy.deepcopy(load_scenario(text=scenario_text))
     scenario.object.name, scenario.random_seed = object_name, seed
     description = load_hand(scenario.hand)
     hand = HandModel(description)
     play = synthesize_play(seed=0, duration_s=60)
-    # The middle of what the person's fingertips reach meets the middle of what the robot's reach.
+    # Maps the centre of the person's fingertip positions to the centre of the robot's.
     rest = play.fingertips(description.human_keypoints).mean(axis=0)
     q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (2000, len(hand.lower)))
     shift = hand.fingertips(q).mean(axis=0) - hand.fingertips(hand.default_position)
@@ -90,8 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             progress.update(task, advance=1)
     date = datetime.date.today().isoformat()
     counts = {
-        name: {thing: _success(results, name, thing) for thing in arguments.objects}
-        for name in arguments.maps
+        name: {each: _success(results, name, each) for each in arguments.objects} for name in arguments.maps
     }
     table = Table("map", *arguments.objects, "median time", title=f"grasps that succeeded, {date}")
     for name, row in counts.items():
@@ -105,8 +104,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _success(results: Sequence[dict], map_name: str, object_name: str) -> dict[str, int]:
-    mine = [r["success"] for r in results if r["map"] == map_name and r["object"] == object_name]
-    return {"successes": sum(mine), "trials": len(mine)}
+    trials = [r["success"] for r in results if r["map"] == map_name and r["object"] == object_name]
+    return {"successes": sum(trials), "trials": len(trials)}
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Baselines: do our online baselines answer like the dex-retargeting package, frame by frame?
+"""Compares our online baselines with the dex-retargeting package, frame by frame.
 
 python studies/compare_dex_retargeting.py --recording alex.npy
 
 Needs `pip install dex-retargeting six`. Both sides get the same hand (its kinematics written as URDF), the
 same frames in order and the same settings, without a low-pass filter. The optimisers differ: theirs stops
-at a change of 1e-6 in the objective, and adds the pull towards the previous joint angles to the gradient,
-but not to the value that its line search compares. Prints distances of fingertips, objectives and call
-times; --json keeps them.
+when the objective changes by less than 1e-6, and adds the regularisation towards the previous joint angles to
+the gradient but not to the value that its line search compares. Prints distances between fingertips,
+objectives and call times; --json saves them.
 """
 
 import argparse
@@ -38,8 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__.splitlines()[0], epilog=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--hand", default="allegro_right", help="(default: %(default)s)")
-    parser.add_argument("--recording", type=Path, required=True, help="of a person's hand")
-    parser.add_argument("--frames", type=int, help="compare the first so many valid frames only")
+    parser.add_argument("--recording", type=Path, required=True, help="recording of a person's hand")
+    parser.add_argument("--frames", type=int, help="compare only the first N valid frames")
     parser.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parser.parse_args(argv)
     if arguments.json:
@@ -87,11 +87,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _figures(hand, q, spent, ours, hands) -> dict:
-    """How far apart the fingertips are, and whose answer has the lower objective (without the pull)."""
+    """Returns distances between fingertips and objectives without regularisation, among other figures."""
     q = {side: np.array(rows, dtype=float) for side, rows in q.items()}
     p = {side: hand.fingertips(rows) for side, rows in q.items()}
     apart = 1000 * np.linalg.norm(p["ours"] - p["theirs"], axis=-1)
-    # The switches are a matter of the human hand alone, so both sides have the same.
+    # The projections depend on the human hand alone, so both sides have the same.
     ours.reset()
     loss: dict[str, list[float]] = {"ours": [], "theirs": []}
     projected = np.zeros((1, len(ours._vectors.pairs)), dtype=bool)

@@ -2,7 +2,7 @@
 
 python studies/comparison_plots.py --recording human_alex.npy
 
-`comparison_frontier.png` shows methods by pairs of metrics, `comparison_fingertips.png` where fingertips go.
+`comparison_frontier.png` shows methods by pairs of metrics, `comparison_fingertips.png` their fingertips.
 """
 
 from collections.abc import Mapping, Sequence
@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def frontier(metrics: Mapping[str, Mapping]) -> Figure:
-    """One point per method (name → metrics) in each panel of `FRONTIER` for which it has the metrics."""
+    """Draws a point per method (name → metrics) in each panel of `FRONTIER` for which it has the metrics."""
     figure = Figure(figsize=(WIDTH, 6.4), layout="constrained")
     for axes, (x, y) in zip(figure.subplots(2, 2).flat, FRONTIER, strict=True):
         for number, (name, values) in enumerate(metrics.items()):
@@ -103,14 +103,14 @@ def fingertips(
     reachable: Sequence[np.ndarray] = (),
     columns: int = 4,
 ) -> Figure:
-    """The fingertips of the person and of the robot under each method, in two views.
+    """Draws the fingertips of the person, and of the robot with each method, in two views.
 
     Args:
         human: (T, F, 3) fingertips in H, m.
         robot: name of a method → (T, F, 3) fingertips in B, m.
         finger_names: F names.
         reachable: per finger, (M, 3) centres of the voxels of the robot's C-space in B, m.
-        columns: clouds side by side.
+        columns: number of clouds in a row.
     """
     clouds = {"human": human, **robot}
     bands = -(-len(clouds) // columns)
@@ -145,7 +145,7 @@ def fingertips(
 
 
 def _shade(axes: Axes, centres: np.ndarray, colour: str) -> None:
-    """Tints the squares of the C-space's voxels, centres (M, 2) in m."""
+    """Tints the squares of the C-space's voxels with centres (M, 2), m."""
     squares = np.round(centres / ROBOT_VOXEL - 0.5).astype(int)
     corner = squares.min(axis=0)
     width, height = squares.max(axis=0) - corner + 1
@@ -158,7 +158,7 @@ def _shade(axes: Axes, centres: np.ndarray, colour: str) -> None:
 
 
 def _legend_below(figure: Figure, **options: Any) -> None:
-    """One legend for all axes, with the entries of the first."""
+    """Draws one legend for all axes, with the entries of the first."""
     handles, labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 4), **options)
 

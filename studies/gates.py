@@ -1,12 +1,12 @@
-"""Validates a task before any method is tried: it is neither too hard nor too easy, and shows bad maps.
+"""Validates a task before any method is tried: it is neither too hard nor too easy, and reveals bad maps.
 
 python studies/gates.py --task keys --json gates.json
 
-Printed, and written to --json: successes of a scripted robot without a person, which must be at least 18 of
-20; successes of a person with a hand that holds still, at most 1 of 20; and, for each kind of person, scores
-with an affine map and three worsened ones. `WORSENED` declares the fault and why the task's mechanics must
-show it. Kendall's tau must be positive beyond chance (p < 0.05 in a permutation test within seeds). The same
-command resumes. `studies/scripted` has the robots.
+Prints, and writes to --json: successes of a scripted robot without a person, which must be at least 18 of 20;
+successes of a person with a hand that holds still, at most 1 of 20; and, for each kind of person, scores with
+an affine map and three worsened ones. `WORSENED` states the fault and why the task's mechanics must reveal
+it. Kendall's tau must be significantly positive (p < 0.05 in a permutation test within seeds). The same
+command resumes an interrupted run. The robots are in `studies/scripted`.
 """
 
 import argparse
@@ -40,15 +40,16 @@ _CONE = "a squeeze that is turned beyond the friction cone, 39° at the mean fri
 
 
 class Worsening(NamedTuple):
-    """A fault of a map, by amount, and why the task must show it."""
+    """A fault of a map, its amounts, and why the task must reveal it."""
 
     fault: str
     amounts: tuple[float, ...]
     reason: str
 
 
-# MIXED: fraction of its neighbours' mean motion by which every finger also moves. TURNED: angle of all
-# directions, degrees, about an axis in the palm's plane that is drawn by the seed.
+# MIXED: every finger but the thumb also moves by this fraction of the mean motion of the other such fingers.
+# TURNED: all directions are turned by this angle, degrees, about an axis in the palm's plane that the seed
+# draws.
 WORSENED = {
     "keys": Worsening(
         MIXED, (0.0, 0.25, 0.5, 0.75), "a press of 8 mm moves the others by 1, 2 and 3 mm; 2.5 mm are allowed"
@@ -65,7 +66,7 @@ WORSENED = {
 
 
 class WorsenedMap:
-    """A map whose input motion about a posture is mixed among the fingers beyond the thumb, or turned."""
+    """A map whose input motion about a posture is mixed among the fingers except the thumb, or turned."""
 
     def __init__(
         self, retarget: Any, rest: np.ndarray, keypoints: Sequence[int], fault: str, amount: float, seed: int
@@ -88,7 +89,7 @@ class WorsenedMap:
 
 @functools.cache
 def setting(task_name: str, hand_name: str) -> tuple[HandModel, Recording, HumanHand, list]:
-    """The robot hand, the person's play and hand, and the ways to do the task."""
+    """Returns the robot hand, the person's play and hand, and the plans for the task."""
     hand, task = HandModel(load_hand(hand_name)), find_task(task_name)
     recording = synthesize_play(seed=0, side=hand.description.side)
     plans = task.plans(load_scenario(*task.scenario, hand=hand_name), hand.description)
@@ -96,8 +97,8 @@ def setting(task_name: str, hand_name: str) -> tuple[HandModel, Recording, Human
 
 
 @functools.cache
-def kept(task_name: str, hand_name: str, method: str, amount: float, seed: int) -> tuple[Any, Any]:
-    """The map, worsened by an amount, and the goal that the person keeps after free play with it."""
+def map_and_goal(task_name: str, hand_name: str, method: str, amount: float, seed: int) -> tuple[Any, Any]:
+    """Returns the map, worsened by an amount, and the goal that the person selects after free play."""
     hand, recording, person, plans = setting(task_name, hand_name)
     retarget, _ = retargeter_of(method, hand, recording, 0, lambda *_: Path())
     if amount:
@@ -109,23 +110,23 @@ def kept(task_name: str, hand_name: str, method: str, amount: float, seed: int) 
 
 
 def trial(task_name: str, hand_name: str, kind: str, method: str, amount: float, seed: int) -> dict:
-    """Record of one trial of a person with the affine map, or with a hand that holds still."""
+    """Returns the record of a trial of a person with the affine map, or with a hand that holds still."""
     scenario = load_scenario(*find_task(task_name).scenario, hand=hand_name)
     scenario.kind, scenario.random_seed = kind, seed
-    retarget, goal = kept(task_name, hand_name, method, amount, seed if amount else 0)
+    retarget, goal = map_and_goal(task_name, hand_name, method, amount, seed if amount else 0)
     result, _ = run_trial(scenario, retarget, (setting(task_name, hand_name)[2], goal))
     return {"kind": kind, "method": method, "amount": amount, **result.to_json()}
 
 
 def tau(*scores: np.ndarray) -> float:
-    """Kendall's tau-a within trials: scores (trials,) of each map, the best first; 1 if ordered rightly."""
+    """Returns Kendall's tau-a of scores (trials,) of each map, expected best first; 1 if ordered so."""
     return float(np.mean([np.sign(better - worse) for better, worse in itertools.combinations(scores, 2)]))
 
 
 def ordering(records: Sequence[dict], kinds: Sequence[str], amounts: Sequence[float]) -> dict[str, Any]:
-    """Mean scores by map, tau, and the chances of one as high, and as low, if maps did not matter.
+    """Returns mean scores by map, tau, and its p-values against no effect, of a high and of a low tau.
 
-    A kind of person with a seed, of whom all maps were tried, is a block: scores are permuted within blocks.
+    A kind of person with a seed, for whom all maps were tried, is a block; scores are permuted within blocks.
     """
     scores = {(r["kind"], r["seed"], r["amount"]): r["score"] for r in records if r["kind"] in kinds}
     blocks = list(dict.fromkeys((kind, seed) for kind, seed, _ in scores))
@@ -152,10 +153,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--task", default="keys", choices=WORSENED, help="a task with a scripted robot")
     parser.add_argument("--hand", default="allegro_right", help="name or file of a hand description")
-    parser.add_argument("--kinds", nargs="+", help="of people with affine maps (default: all of the task)")
-    parser.add_argument("--seeds", type=int, default=20, help="of the scripted robot and the still hand")
-    parser.add_argument("--map-seeds", type=int, default=4, help="of each affine map and kind of person")
-    parser.add_argument("--json", type=Path, required=True, help="where to write the figures")
+    parser.add_argument("--kinds", nargs="+", help="kinds of people (default: all of the task)")
+    parser.add_argument("--seeds", type=int, default=20, help="seeds of scripted robot and still hand")
+    parser.add_argument("--map-seeds", type=int, default=4, help="seeds per map and kind of person")
+    parser.add_argument("--json", type=Path, required=True, help="file for the figures")
     arguments = parser.parse_args(argv)
     task, path = find_task(arguments.task), arguments.json
     worsened, kinds = WORSENED[task.name], arguments.kinds or task.kinds
@@ -165,7 +166,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     scenario = load_scenario(*task.scenario, hand=arguments.hand)
     plan = robot.plans(scenario, load_hand(arguments.hand))[0]
     known = {(r["kind"], r["method"], r["amount"], r["seed"]) for r in records}
-    # Seed by seed, so that what is there after an interruption is balanced.
+    # Seed by seed, so that an interrupted run is balanced.
     wanted = [
         (kind, "affine_ik", amount, seed)
         for seed in range(arguments.map_seeds)

@@ -1,10 +1,10 @@
-"""Guard: what does the guard against self-collision change, and what does a step of it cost?
+"""Measures what the guard against self-collision changes, and how long a step of it takes.
 
 python studies/guard.py --recording hand.npy --method geort --json guard.json
 
-Every frame of a recording (default: synthetic play) is held until the commands have settled, at most 0.33
-s, with and without the guard. Printed, and written to --json: metrics of both, the fraction of frames that
-the guard changes, and the time of its steps in µs. Measure times on an idle machine.
+Every frame of a recording (default: synthetic play) is held until the commands have settled, at most 0.33 s,
+with and without the guard. Prints, and writes to --json: metrics of both, the fraction of frames that the
+guard changes, and the duration of its steps in µs. Measure durations on an idle machine.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
-STEPS = 33  # of 10 ms
+STEPS = 33  # largest number of steps of 10 ms per frame
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -37,11 +37,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--hand", default="allegro_right", help="name or file of a hand description")
-    parser.add_argument("--recording", type=Path, help="of a person's hand")
-    parser.add_argument("--method", default="geort", help="trained on the recording, or found in the cache")
-    parser.add_argument("--retargeter", type=Path, help="a checkpoint in place of --method")
-    parser.add_argument("--frames", type=int, help="take the first so many; all without it")
-    parser.add_argument("--json", type=Path, help="where to write the figures")
+    parser.add_argument("--recording", type=Path, help="recording of a person's hand")
+    parser.add_argument("--method", default="geort", help="method, trained on the recording or cached")
+    parser.add_argument("--retargeter", type=Path, help="checkpoint instead of --method")
+    parser.add_argument("--frames", type=int, help="number of frames from the start (default: all)")
+    parser.add_argument("--json", type=Path, help="file for the figures")
     arguments = parser.parse_args(argv)
     description = load_hand(arguments.hand)
     hand = HandModel(description)
@@ -52,15 +52,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     path = arguments.retargeter or cached_checkpoint(arguments.hand, recording, arguments.method)
     frames = recording.fingertips(description.human_keypoints)
     frames = frames[: arguments.frames].astype(float)
-    bare = load_retargeter(path, hand)(frames)
-    guarded, times, touched = _guarded(hand, bare)
+    unguarded = load_retargeter(path, hand)(frames)
+    guarded, times, corrected = _guarded(hand, unguarded)
     figures = {
         "frames": len(frames),
-        "without": _scores(hand, frames, bare),
+        "without": _scores(hand, frames, unguarded),
         "with": _scores(hand, frames, guarded),
-        "frames_changed": float((guarded != bare).any(axis=1).mean()),
-        "us_passed_on": _percentiles(times[~touched]),
-        "us_corrected": _percentiles(times[touched]),
+        "frames_changed": float((guarded != unguarded).any(axis=1).mean()),
+        "us_passed_on": _percentiles(times[~corrected]),
+        "us_corrected": _percentiles(times[corrected]),
     }
     print(json.dumps(figures, indent=2))
     if arguments.json:
@@ -68,25 +68,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _guarded(hand: HandModel, bare: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Settled commands (T, n) under the guard; each step's time, µs, and whether it changed anything."""
+def _guarded(hand: HandModel, unguarded: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Returns settled commands (T, n) under the guard; each step's time, µs, and whether it corrected."""
     start = dict(zip(hand.joint_names, hand.default_position, strict=True))
     limits = JointLimits(hand.lower, hand.upper)
     guard = SelfCollisionGuard(hand, hand.joint_names, start, limits)
-    q, settled, times, touched = hand.default_position, [], [], []
+    q, settled, times, corrected = hand.default_position, [], [], []
     reach = limits.speed * 0.01
-    for wanted in bare:
+    for wanted in unguarded:
         for _ in range(STEPS):
             started = time.perf_counter()
             after = guard.guarded(wanted, q)
             times.append(1e6 * (time.perf_counter() - started))
-            touched.append(not np.array_equal(after, np.clip(wanted, q - reach, q + reach)))
+            corrected.append(not np.array_equal(after, np.clip(wanted, q - reach, q + reach)))
             moved = np.abs(after - q).max()
             q = after
             if moved < 1e-6:
                 break
         settled.append(q)
-    return np.array(settled), np.array(times), np.array(touched)
+    return np.array(settled), np.array(times), np.array(corrected)
 
 
 def _scores(hand: HandModel, frames: np.ndarray, q: np.ndarray) -> dict:

@@ -1,6 +1,6 @@
-"""Inputs changed at random, of which those that reach other lines of a reader are kept and changed further.
+"""Mutates inputs at random; keeps and mutates further those that reach new lines of a reader.
 
-Needs atheris, which no test does: pip install atheris
+Needs atheris, which no test needs: pip install atheris
 """
 
 import json
@@ -14,22 +14,22 @@ from pathlib import Path
 from geort_drake.errors import GeortError
 
 INSTRUMENTED = ["geort_drake", "yaml", "json", "csv", "zipfile"]
-TIME_FOR_ONE = 60  # s; an input that takes longer counts as hanging, also on a busy machine
+MAX_INPUT_TIME = 60  # s; an input that takes longer counts as hanging, even on a busy machine
 MEMORY_MB = 4096
-MAX_CALL_TIME = 1 << 19  # bytes of an input
+MAX_INPUT_BYTES = 1 << 19
 
 
 def require_atheris() -> None:
-    """Raises GeortError where atheris is not installed."""
+    """Raises GeortError if atheris is not installed."""
     if find_spec("atheris") is None:
         raise GeortError("guided fuzzing needs atheris: pip install atheris")
 
 
 def fuzz_guided(count: int, seed: int, folder: Path) -> dict:
-    """Gives so many inputs to the readers.
+    """Gives `count` inputs to the readers; a failure ends it and leaves the input in `folder`.
 
     Returns:
-        inputs tried of each kind, and what was found, which ends it and leaves the input in `folder`.
+        Number of inputs, number tried of each kind, and failures.
     """
     folder.mkdir(parents=True)
     process = multiprocessing.get_context("spawn").Process(target=_fuzz, args=(count, seed, folder.resolve()))
@@ -46,19 +46,19 @@ def fuzz_guided(count: int, seed: int, folder: Path) -> dict:
 def _fuzz(count: int, seed: int, folder: Path) -> None:
     import atheris
 
-    # Whatever is imported from here on tells which of its lines are reached.
+    # Modules imported from here on report which of their lines are reached.
     with atheris.instrument_imports(include=INSTRUMENTED):
         import numpy as np
         from faults.mutations import mutate
         from faults.readers import sound_inputs
 
-    room, corpus = folder / "room", folder / "corpus"
-    room.mkdir()
+    work_folder, corpus = folder / "work_folder", folder / "corpus"
+    work_folder.mkdir()
     corpus.mkdir()
-    readers = sound_inputs(room)
+    readers = sound_inputs(work_folder)
     sound = [reader.path.read_bytes() for reader in readers]
-    there = set(room.rglob("*"))
-    # The first byte of an input says whose it is.
+    existing = set(work_folder.rglob("*"))
+    # The first byte of an input selects its reader.
     for number, content in enumerate(sound):
         (corpus / str(number)).write_bytes(bytes([number]) + content)
     tried: Counter[str] = Counter({reader.name: 0 for reader in readers})
@@ -67,7 +67,7 @@ def _fuzz(count: int, seed: int, folder: Path) -> None:
         os.dup2(log, stream)
     tally = os.open(folder / "tried.json", os.O_WRONLY | os.O_CREAT)
     written = os.open(folder / "written.txt", os.O_WRONLY | os.O_CREAT)
-    os.chdir(room)
+    os.chdir(work_folder)
 
     def read(data: bytes) -> None:
         number = data[0] % len(readers) if data else 0
@@ -80,14 +80,14 @@ def _fuzz(count: int, seed: int, folder: Path) -> None:
         finally:
             reader.path.write_bytes(sound[number])
             tried[reader.name] += 1
-            # The library ends the process itself; the text grows only.
+            # The library ends the process itself. The text only grows, so it can be overwritten in place.
             os.pwrite(tally, json.dumps(tried).encode(), 0)
-        if new := set(room.rglob("*")) - there:
-            there.update(new)
+        if new := set(work_folder.rglob("*")) - existing:
+            existing.update(new)
             os.write(written, f"{reader.name}: wrote {sorted(map(str, new))}\n".encode())
 
     def change(data: bytes, longest: int, number: int) -> bytes:
-        """Another input of the same reader: half of the times by what a sound one holds."""
+        """Returns another input of the same reader; half of them are mutations of a sound one."""
         rng = np.random.default_rng(number)
         if not data or rng.random() < 0.5:
             return data[:1] + atheris.Mutate(data[1:], longest - 1)
@@ -100,8 +100,8 @@ def _fuzz(count: int, seed: int, folder: Path) -> None:
             path.write_bytes(sound[which])
 
     options = {
-        "atheris_runs": count, "timeout": TIME_FOR_ONE, "rss_limit_mb": MEMORY_MB, "seed": seed + 1,
-        "max_len": MAX_CALL_TIME, "len_control": 0, "artifact_prefix": f"{folder}/",
+        "atheris_runs": count, "timeout": MAX_INPUT_TIME, "rss_limit_mb": MEMORY_MB, "seed": seed + 1,
+        "max_len": MAX_INPUT_BYTES, "len_control": 0, "artifact_prefix": f"{folder}/",
     }  # fmt: skip
     words = [sys.argv[0], *(f"-{name}={value}" for name, value in options.items()), str(corpus)]
     atheris.Setup(words, read, custom_mutator=change)

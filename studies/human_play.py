@@ -1,4 +1,4 @@
-"""Draws synthetic play, and a glove's recording below it: fingertip clouds, speeds and pinches.
+"""Draws synthetic play, and below it a glove's recording: fingertip clouds, speeds and pinches.
 
 python studies/human_play.py human_play.png --glove manus.npz
 """
@@ -33,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def plot(recordings: dict[str, Recording], path: Path) -> None:
-    """Draws fingertip clouds from the side and the front, speeds and pinch shares, one row each."""
+    """Draws fingertip clouds from two sides, speeds and pinch fractions, a row per recording."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -56,7 +56,7 @@ def plot(recordings: dict[str, Recording], path: Path) -> None:
 
 
 def _limits(recordings: Iterable[Recording]) -> np.ndarray:
-    """(3, 2) range in mm that holds every fingertip and the wrist."""
+    """Returns the range (3, 2), mm, that contains every fingertip and the wrist."""
     points = np.concatenate([1e3 * recording.fingertips().reshape(-1, 3) for recording in recordings])
     low, high = np.minimum(points.min(axis=0), -8.0), np.maximum(points.max(axis=0), 8.0)
     return np.stack([low - 5, high + 5], axis=1)

@@ -1,4 +1,4 @@
-"""Draws people of the population: each stretched hand, and where its fingertips go.
+"""Draws people of the population: each person's stretched hand and cloud of fingertips.
 
 python studies/people.py --people 6 --seed 3 --output people.png
 """
@@ -18,7 +18,7 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT, WRIST
 from geort_drake.people.population import sample_person
 from geort_drake.people.recording import Recording
 
-POINTS = 800  # per hand
+POINTS = 800  # number of points per fingertip cloud
 GREY = "#7f7f7f"  # readable on white paper and on a dark page; the background is transparent
 STYLE: Any = {
     **dict.fromkeys(("axes.labelcolor", "text.color"), GREY),
@@ -31,8 +31,8 @@ PLANES = {"from the palm": (1, 2), "from the side": (0, 2)}
 def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--people", type=int, default=6)
-    parser.add_argument("--seconds", type=float, default=60.0, help="of play")
-    parser.add_argument("--seed", type=int, default=3, help="of the population")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of play, s")
+    parser.add_argument("--seed", type=int, default=3, help="seed of the population")
     parser.add_argument("--output", type=Path, required=True)
     arguments = parser.parse_args(argv)
     people = [sample_person(arguments.seed, number) for number in range(arguments.people)]

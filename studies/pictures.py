@@ -1,4 +1,4 @@
-"""Makes the docs' pictures anew: records each kind, and photographs it without a screen; or draws."""
+"""Makes the docs' pictures: records and photographs Rerun recordings without a display, or draws."""
 
 import argparse
 import contextlib
@@ -22,9 +22,9 @@ from geort_drake.files import atomic_path, require_writable
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = (1440, 900)  # px
-# The viewer's menu, and its time controls with nothing of the recording on them, px.
+# Heights of the viewer's menu and time controls, which are cropped, px.
 TOP, BOTTOM = 37, 30
-# A film shows the views of the scene, a row of them: left, top, right and bottom in shares of the window.
+# Part of the window shown in a film, a row of views: left, top, right, bottom, as fractions of the window.
 FILM_PART = (0.0, 0.075, 1.0, 0.484)
 FILM_HZ, FILM_WIDTH, FILM_QUALITY = 8, 1200, 60
 EPILOG = """\
@@ -35,13 +35,13 @@ graphics card, Rerun's viewer draws with Mesa's software driver (apt-get install
 
 @dataclass(frozen=True)
 class Picture:
-    """One kind of recording, and when to photograph it; or a drawing.
+    """A recording and when to photograph it, or a drawing.
 
     Attributes:
-        record: makes it in a folder, for which `arguments` hold what was asked for.
-        file: the recording, or the drawing (.png), in that folder.
-        time: on the recording's timeline: s, or steps; None is the end.
-        moves: whether it is a film of the scene from beginning to end.
+        record: makes the recording or drawing in a folder, with the command's arguments.
+        file: name of the recording or drawing (.png) in that folder.
+        time: time on the recording's timeline, s or steps; None for the end.
+        moves: whether to make a film of the scene from beginning to end.
     """
 
     record: Callable[[Path, argparse.Namespace], None]
@@ -58,29 +58,29 @@ def main(argv: Sequence[str] | None = None) -> int:
         nargs="+",
         choices=tuple(PICTURES),
         metavar="NAME",
-        help=f"which pictures, of {', '.join(PICTURES)} (default: all)",
+        help=f"pictures to make, of {', '.join(PICTURES)} (default: all)",
     )
-    add("--recording", type=Path, metavar="FILE", help="of a hand, to train on (default: synthetic play)")
+    add("--recording", type=Path, metavar="FILE", help="recording to train on (default: synthetic play)")
     add("--retargeter", type=Path, metavar="DIR", help="checkpoint to use (default: one trained now)")
     add(
         "--glove",
         type=Path,
         metavar="FILE",
-        help="recording beside synthetic play in human_play (default: none)",
+        help="recording to compare with synthetic play in human_play (default: none)",
     )
     add(
         "--recordings",
         type=Path,
         default=Path("runs/pictures"),
         metavar="DIR",
-        help="where the recordings that are photographed are kept",
+        help="folder for the recordings",
     )
     add(
         "--output",
         type=Path,
         default=ROOT / "docs" / "images",
         metavar="DIR",
-        help="where the pictures are written",
+        help="folder for the pictures",
     )
     arguments = parser.parse_args(argv)
     console.quiet = arguments.quiet
@@ -115,7 +115,7 @@ def check(recording: Path) -> None:
     """Has Rerun verify a recording.
 
     Raises:
-        GeortError: it found something wrong.
+        GeortError: the recording is faulty.
     """
     command = [sys.executable, "-m", "rerun", "rrd", "verify", str(recording)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -124,7 +124,7 @@ def check(recording: Path) -> None:
 
 
 def photograph(recording: Path, picture: Path, time: float | None) -> None:
-    """Writes a small .png of a recording, without the viewer's frame."""
+    """Writes a small .png of a recording, without the viewer's controls."""
     from geort_drake.rerun import take_screenshot
 
     take_screenshot(recording, picture, time=time, size=SIZE)
@@ -133,15 +133,15 @@ def photograph(recording: Path, picture: Path, time: float | None) -> None:
 
 
 def shrink(image: Image.Image, picture: Path) -> None:
-    """Writes a .png of few colours; what is transparent stays so."""
-    # An octree keeps the hues of thin lines, which a median cut gives up.
+    """Writes a .png with few colours; transparency is kept."""
+    # An octree keeps the hues of thin lines, which a median cut loses.
     few = image.quantize(256, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     with atomic_path(picture) as draft:
         few.save(draft, "PNG", optimize=True)
 
 
 def film(recording: Path, picture: Path) -> None:
-    """Writes a small moving .webp of the views of a recording's scene, as fast as it was."""
+    """Writes a small animated .webp of the views of a recording's scene, in real time."""
     from geort_drake.rerun.screenshot import camera
 
     with camera(recording, SIZE) as opened:
@@ -153,7 +153,7 @@ def film(recording: Path, picture: Path) -> None:
             part = whole.convert("RGB").crop((np.array(FILM_PART) * (whole.size * 2)).astype(int).tolist())
         part.thumbnail((FILM_WIDTH, FILM_WIDTH), Image.Resampling.LANCZOS)
         frames.append(part)
-    # The last instant stays for a while before it begins again.
+    # The last frame is shown longer before the film repeats.
     durations = [1000 // FILM_HZ] * (len(frames) - 1) + [1500]
     with atomic_path(picture) as draft:
         frames[0].save(
@@ -163,7 +163,7 @@ def film(recording: Path, picture: Path) -> None:
 
 
 def record_training(folder: Path, arguments: argparse.Namespace) -> None:
-    """The training; its checkpoint is what the other recordings use."""
+    """Records a training, whose checkpoint the other recordings use."""
     run(
         "train_retargeter",
         *_recording(arguments),
@@ -175,19 +175,19 @@ def record_training(folder: Path, arguments: argparse.Namespace) -> None:
 
 
 def record_explorer(folder: Path, arguments: argparse.Namespace) -> None:
-    """The trained method beside one that is not trained."""
+    """Records the trained method and an untrained one in the explorer."""
     methods = ["--methods", retargeter(folder, arguments), "vector_online"]
     run("explore_retargeting", *_recording(arguments), *methods, "--output", folder / "explorer.rrd")
 
 
 def record_grasp(folder: Path, arguments: argparse.Namespace) -> None:
-    """A trial with the object that the README shows."""
+    """Records a trial with the object that the README shows."""
     options = ["--objects", "cylinder", "--retargeter", retargeter(folder, arguments), *_recording(arguments)]
     run("simulate_grasp", *options, "--output", folder / "grasp")
 
 
 def record_task(task: str, few: str, folder: Path, kind: str = "adaptive", case: str | None = None) -> None:
-    """A short trial of a task, by a map that needs no training."""
+    """Records a short trial of a task, with a method that needs no training."""
     case = case or task
     method = ["--methods", "affine_ik", "--trials", "1", "--scenario-text", few, "--objects", case]
     run("benchmark_grasping", "--tasks", task, "--kinds", kind, *method, "--output", folder / "tasks")
@@ -196,62 +196,62 @@ def record_task(task: str, few: str, folder: Path, kind: str = "adaptive", case:
 
 
 def record_keys(folder: Path, _arguments: argparse.Namespace) -> None:
-    """A few presses of keys."""
+    """Records a few presses of keys."""
     record_task("keys", "{task_settings: {presses: 3, enough: 3}}", folder)
 
 
 def record_pick_place(folder: Path, _arguments: argparse.Namespace) -> None:
-    """A block on its way to its place."""
+    """Records a block that is carried to its place."""
     record_task("pick_place", "{}", folder, "servo", "block_20")
 
 
 def record_trigger(folder: Path, _arguments: argparse.Namespace) -> None:
-    """One pull of the trigger."""
+    """Records a pull of the trigger."""
     record_task("trigger", "{task_settings: {pulls: 1}}", folder)
 
 
 def record_cap(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Two strokes."""
+    """Records two strokes of the cap."""
     record_task("cap", "{task_settings: {turn: 90}}", folder)
 
 
 def record_tracking(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Two targets of the puck."""
+    """Records two targets of the puck."""
     record_task("tracking", "{task_settings: {targets: 2, enough: 1}}", folder, "servo")
 
 
 def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Synthetic play, with which the drawings are made as well."""
+    """Records synthetic play."""
     run("synthesize_recording", folder / "play.npz")
     run("export_run", folder / "play.npz", folder / "hand.rrd", "--format", "rrd")
 
 
 def record_capture(folder: Path, _arguments: argparse.Namespace) -> None:
-    """The capture protocol."""
+    """Records the capture protocol."""
     run("show_capture_protocol", "--output", folder / "capture.rrd")
 
 
 def record_add_hand(folder: Path, _arguments: argparse.Namespace) -> None:
-    """A hand as add_hand.py finds it in a model: LEAP."""
+    """Records the LEAP hand as add_hand.py describes it from its model."""
     output = ["--output", folder / "leap.yaml", "--overwrite"]
     run("add_hand", ROOT / "models" / "sdf" / "leap_right.sdf", *output, "--rrd", folder / "add_hand.rrd")
 
 
 def draw_human_play(folder: Path, arguments: argparse.Namespace) -> None:
-    """What synthetic play is like, beside a glove's recording where there is one."""
+    """Draws synthetic play, and a glove's recording if there is one."""
     compared = [] if arguments.glove is None else ["--glove", arguments.glove]
     run("../studies/human_play", folder / "human_play.png", *compared)
 
 
 def draw_people(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Hands of the population."""
+    """Draws hands of the population."""
     subprocess.run(
         [sys.executable, ROOT / "studies" / "people.py", "--output", folder / "people.png"], check=True
     )
 
 
 def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
-    """The example of docs/how-to/record-with-rerun.md."""
+    """Records the example of docs/how-to/record-with-rerun.md."""
     with contextlib.chdir(folder):
         runpy.run_path(str(ROOT / "examples" / "falling_objects.py"))
 
@@ -279,7 +279,7 @@ def run(script: str, *options: str | os.PathLike) -> None:
     """Runs one of the project's scripts.
 
     Raises:
-        GeortError: it failed; it has said why.
+        GeortError: the script failed; it has printed why.
     """
     quiet = ["--quiet"] if console.quiet else []
     command = [sys.executable, str(ROOT / "scripts" / f"{script}.py"), *map(str, options), *quiet]
@@ -288,12 +288,12 @@ def run(script: str, *options: str | os.PathLike) -> None:
 
 
 def checkpoint(folder: Path) -> Path:
-    """Where `record_training` leaves its checkpoint."""
+    """Returns the directory of the checkpoint of `record_training`."""
     return folder / "geort_coupled"  # the name that the explorer shows
 
 
 def retargeter(folder: Path, arguments: argparse.Namespace) -> Path:
-    """The checkpoint to use; trained now if there is none."""
+    """Returns the checkpoint to use; trains one if there is none."""
     if arguments.retargeter is not None:
         return arguments.retargeter
     if not checkpoint(folder).is_dir():

@@ -1,10 +1,10 @@
-"""Grasp plans of any described hand, and whether a scripted oracle can carry them out.
+"""Plans grasps for described hands, and checks whether a scripted oracle can carry them out.
 
 python studies/plans.py allegro_right leap_right my_hand.yaml --json plans.json
 
-The oracle knows where the object is. It moves the hand along the plan, puts the fingertips by inverse
-kinematics where the plan has them, squeezes and lifts. It tries the plans of an object one after the other,
-each with the scenario's physics and monitor, and nobody corrects.
+The oracle knows where the object is. It moves the hand along the plan, brings the fingertips to the planned
+contacts by inverse kinematics, squeezes and lifts. It tries the plans of an object one after another, with
+the scenario's physics and monitor, and without corrections.
 """
 
 import argparse
@@ -35,43 +35,43 @@ from geort_drake.simulation.world import HAND, add_object, add_robot, draw_place
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 from geort_drake.systems.port_values import pose_to_vector
 
-RATE = 50.0  # Hz, of the script
-# Ends of the script's first parts, and durations of the others, s: the hand waits before the object, is at
-# it, closes as fast as its joints can, squeezes, lifts and holds.
+RATE = 50.0  # Hz, rate of the script
+# Ends of the first two parts of the script, and durations of the others, s: the hand reaches its waiting
+# pose, reaches the object, closes (longer if its joints are slow), squeezes, lifts and holds.
 WAITING, THERE = 2.0, 3.5
 CLOSING, SQUEEZING, LIFTING, HOLDING = 1.0, 0.5, 1.0, 3.5
-CARRYING = 1.5  # each of the ways to above a place and down to it
-DEPTH, HEIGHT = 0.03, 0.15  # m, of the squeeze and the lift
-ITERATIONS, LARGEST_STEP, DAMPING = 10, 0.1, 5e-3  # of the inverse kinematics; rad, m/rad
+CARRYING = 1.5  # s, duration of carrying the object above its place, and of lowering it
+DEPTH, HEIGHT = 0.03, 0.15  # m, depth of the squeeze and height of the lift
+ITERATIONS, LARGEST_STEP, DAMPING = 10, 0.1, 5e-3  # of inverse kinematics; steps in rad, damping in m/rad
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("hands", nargs="+", help="names or files of descriptions")
+    parser.add_argument("hands", nargs="+", help="names or files of hand descriptions")
     parser.add_argument("--objects", nargs="+", default=object_names())
     parser.add_argument("--scenario", default="Grasp", help="name of the scenario (default: %(default)s)")
-    parser.add_argument("--plans", type=int, default=6, help="tried for each object (default: %(default)s)")
+    parser.add_argument("--plans", type=int, default=6, help="most plans per object (default: %(default)s)")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(argv)
     logging.getLogger("drake").setLevel(logging.ERROR)
     rows = []
     for name in arguments.hands:
         oracle = Oracle(HandModel(load_hand(name)))
-        for thing in arguments.objects:
+        for object_name in arguments.objects:
             scenario = load_scenario(name=arguments.scenario, hand=name)
-            scenario.object.name = thing
+            scenario.object.name = object_name
             row = {
                 "hand": oracle.description.name,
-                "object": thing,
+                "object": object_name,
                 **_try(scenario, oracle, arguments.plans),
             }
             rows.append(row)
-            say(f"{row['hand']} {thing}: {_mark(row)} ({', '.join(row['outcomes'])})")
+            say(f"{row['hand']} {object_name}: {_mark(row)} ({', '.join(row['outcomes'])})")
             if arguments.json:
                 write_text(arguments.json, json.dumps(rows, indent=2) + "\n")
     hands = list(dict.fromkeys(row["hand"] for row in rows))
     marks = {(row["hand"], row["object"]): _mark(row) for row in rows}
-    table = [(thing, *(marks[hand, thing] for hand in hands)) for thing in arguments.objects]
+    table = [(name, *(marks[hand, name] for hand in hands)) for name in arguments.objects]
     for text, counted in (("planned", "plans"), ("held", "held")):
         numbers = (sum(row[counted] > 0 for row in rows if row["hand"] == hand) for hand in hands)
         table.append((text, *(f"{number} of {len(arguments.objects)}" for number in numbers)))
@@ -79,12 +79,12 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 class Oracle:
-    """Inverse kinematics in place of a retargeter: keypoints are where the robot's fingertips shall be."""
+    """Inverse kinematics in place of a retargeter: keypoints are the robot's target fingertips in B."""
 
     def __init__(self, hand: HandModel):
         self.description, self.joint_names = hand.description, hand.joint_names
         self._hand = NumpyKinematics(hand.kinematics())
-        # From the default posture, straight fingers are singular.
+        # Not the default posture, whose straight fingers are singular.
         self._start = 0.5 * (hand.lower + hand.upper)
         joints = [hand.plant.GetJointByName(name, hand.instance) for name in hand.joint_names]
         self.speed = np.array([joint.velocity_upper_limit() for joint in joints])
@@ -94,10 +94,10 @@ class Oracle:
         self._q = self._start
 
     def closing_time(self, p_BF_open: np.ndarray, p_BF_touch: np.ndarray) -> float:
-        """How long a minimum-jerk movement of the joints between two fingertip positions takes, s."""
+        """Returns the duration of a minimum-jerk movement of the joints between fingertip positions, s."""
         q_open = self._solve(self._start, p_BF_open, 100)
         q_touch = self._solve(q_open, p_BF_touch, 100)
-        # It peaks at 15/8 of its mean speed.
+        # The movement peaks at 15/8 of its mean speed.
         return max(CLOSING, float((1.875 * np.abs(q_touch - q_open) / self.speed).max()))
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
@@ -116,7 +116,7 @@ class Oracle:
 
 
 def _try(scenario: Scenario, oracle: Oracle, most: int) -> dict:
-    """How many plans were found, and the number of the first one that was held, from 1; 0: none."""
+    """Returns the number of plans, that of the first with a successful hold from 1 or 0, and outcomes."""
     try:
         plans = GraspPlanner(scenario, oracle.description).plans(most)
     except ScenarioError as error:
@@ -139,10 +139,12 @@ def script(
     squeeze: float = DEPTH,
     place: tuple[np.ndarray, float, float] | None = None,
 ) -> Recording:
-    """The oracle's motion for the object as the scenario's seed places it.
+    """Returns the oracle's motion for the object as the scenario's seed places it.
 
-    `place`: where to bring the object after the lift: p_WP, m; by which angle to turn it about the vertical,
-    rad; and from which height above P to lower it, m.
+    Args:
+        squeeze: depth of the squeeze, m.
+        place: where to bring the object after the lift: p_WP, m; angle by which to turn it about the
+            vertical, rad; and height above P from which to lower it, m.
     """
     X_WO = goal.object_frame(_object_pose(scenario))
     X_start = _start_pose(scenario, oracle)

@@ -1,10 +1,10 @@
-"""Refit: how near does the universal map come to a training on one person alone?
+"""Compares the universal map, before and after a refit, with a map trained on one person alone.
 
 python studies/refit.py --people 0 1 2 4 --json refit.json
 
-People of a population that no training has seen play for a minute, and for another one that is scored: with
-the universal map, folded for the first minute; refitted to that minute; and with a map that was trained on
-it alone, for which the person must pinch in the first minute.
+People of a population that no training has seen play for a minute, and for another minute that is scored with
+three maps: the universal map, adapted to the first minute; the universal map, refitted to that minute; and a
+map trained on that minute alone, in which the person must pinch.
 """
 
 import argparse
@@ -24,8 +24,8 @@ from geort_drake.people.population import sample_person
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.retargeter import load_retargeter
 
-SEED = 9  # of the population; that of the map is another
-END_S, SCORED_S = 300.0, 60.0  # of the play to fit to, and of the scored one
+SEED = 9  # of the population, different from that of the map's training
+END_S, SCORED_S = 300.0, 60.0  # end of the play to fit to, and duration of the scored play
 COLUMNS = {
     "motion preservation": lambda m: f"{m['motion_preservation']:.3f}",
     "along steps": lambda m: f"{m['motion_preservation_track']:.3f}",
@@ -41,8 +41,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--hand", default="allegro_right")
     parser.add_argument("--map", type=Path, help="universal map (default: the shipped one)")
     parser.add_argument("--people", type=int, nargs="+", default=[0, 1, 2], help="numbers in the population")
-    parser.add_argument("--seconds", type=float, default=60.0, help="of play to fit to")
-    parser.add_argument("--rate", type=float, default=30.0, help="Hz")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of play to fit to, s")
+    parser.add_argument("--rate", type=float, default=30.0, help="frame rate, Hz")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(argv)
     hand = HandModel(load_hand(arguments.hand))

@@ -1,12 +1,12 @@
-"""Reliability: what happens when inputs, files, frames, disks and processes fail?
+"""Measures reliability: what happens when inputs, files, frames, disks and processes fail?
 
 python studies/reliability.py
 python studies/reliability.py --parts frames files
 
-Injects faults and counts the outcomes. Keeps the counts in docs/results/data/reliability.json and writes
-reliability.csv beside it, the table of docs/results/reliability.md; with --json or --quick both stay as
-they are. The exit code is 1 if a guarantee was broken. Needs the test extra, and the part "guided" needs
-atheris: pip install atheris
+Injects faults and counts the outcomes. Writes the counts to docs/results/data/reliability.json, and the table
+of docs/results/reliability.md to reliability.csv in the same folder; --json and --quick leave both unchanged.
+The exit code is 1 if a guarantee was broken. Needs the test extra, and for the part "guided" atheris: pip
+install atheris
 """
 
 import argparse
@@ -31,7 +31,7 @@ ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "results" / "data"
 TABLE, FIGURES = DATA / "reliability.csv", DATA / "reliability.json"
 _MACHINE = ("date", "processor", "cores", "load_average", "python")
-# The faults are shared with the tests, which try a share of them.
+# The faults are shared with the tests, which inject only some of them.
 sys.path[:0] = [str(ROOT / name) for name in ("tests", "benchmarks", "studies")]
 
 from faults import disks, kills  # noqa: E402
@@ -48,7 +48,7 @@ from faults.systems import (  # noqa: E402
 from guided_fuzzing import fuzz_guided, require_atheris  # noqa: E402
 from side_by_side import machine  # noqa: E402
 
-Report = Callable[[int, int], None]  # called with what is done, and of how much
+Report = Callable[[int, int], None]  # called with the numbers of finished and of all items
 
 FULL = {
     "inputs": None, "files": 10_000, "guided": 20_000, "kills": 25, "frames": 10_000, "commands": 100_000,
@@ -78,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             took = {"seconds": round(time.perf_counter() - started, 1), "seed": arguments.seed}
             on = {name: value for name, value in machine().items() if name in _MACHINE}
             figures[part] = {**result, "measured": took | on}
-            # After each part, as a long one may be interrupted.
+            # Written after each part, because a long one may be interrupted.
             if store:
                 write_text(store, json.dumps(figures, indent=2) + "\n")
     text = table(figures)
@@ -97,17 +97,17 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    add("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="what to measure (default: all)")
-    add("--quick", action="store_true", help="a small share of everything; the page stays as it is")
+    add("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="parts to measure (default: all)")
+    add("--quick", action="store_true", help="a small part of everything; the page is not changed")
     for name, count in FULL.items():
         add(
             f"--{name}",
             type=int,
             metavar="N",
-            help=f"how many (default: {'all' if count is None else f'{count:,}'})",
+            help=f"number of {name} (default: {'all' if count is None else f'{count:,}'})",
         )
-    add("--seed", type=int, default=0, help="of everything random (default: 0)")
-    add("--json", type=Path, help="another file for the figures; those of parts that it holds are kept")
+    add("--seed", type=int, default=0, help="seed of all random choices (default: 0)")
+    add("--json", type=Path, help="another file for the figures; figures of other parts in it are kept")
     arguments = parser.parse_args(argv)
     if arguments.json:
         require_writable(arguments.json)
@@ -117,7 +117,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def counts_of(arguments: argparse.Namespace) -> dict:
-    """How many of what, as asked for."""
+    """Returns the requested number of each kind of fault."""
     usual = QUICK if arguments.quick else FULL
     given = {name: getattr(arguments, name) for name in FULL}
     return {name: usual[name] if value is None else value for name, value in given.items()}
@@ -127,7 +127,7 @@ def counts_of(arguments: argparse.Namespace) -> dict:
 
 
 def inputs(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Malformed inputs, and how many are refused as they should be."""
+    """Tries malformed inputs, and counts those that are refused as they should be."""
     chosen = list(CASES)
     if counts["inputs"] is not None:
         chosen = [chosen[i] for i in np.random.default_rng(seed).permutation(len(chosen))[: counts["inputs"]]]
@@ -144,19 +144,19 @@ def inputs(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 
 
 def files(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Sound inputs changed at random."""
+    """Tries sound inputs with random changes."""
     return fuzz(counts["files"], seed, folder, report)
 
 
 def guided(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """The same, where those that reach other lines of a reader are changed further."""
+    """Tries random changes, guided by the lines of the readers that they reach."""
     result = fuzz_guided(counts["guided"], seed, folder)
     report(1, 1)
     return result
 
 
 def killed(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Programs killed at random moments, and started again."""
+    """Kills programs at random moments and starts them again."""
     rng, known = np.random.default_rng(seed), {}
     tried: Counter[str] = Counter()
     recovered: Counter[str] = Counter()
@@ -176,7 +176,7 @@ def killed(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 
 
 def disk(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Files that may not grow, full disks and read-only ones."""
+    """Writes to files that may not grow, full disks and read-only disks."""
     failures, tried = [], {}
     mounts = disks.can_mount(folder / "mounts")
     for reason, options in disks.DISKS.items():
@@ -188,7 +188,7 @@ def disk(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 
 
 def frames(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Faulty frames through the system and the Python call, and faulty poses of a wrist to the arm."""
+    """Sends faulty frames to the system and the Python call, and faulty wrist poses to the arm."""
     results = {
         "system": fuzz_system(counts["frames"], seed),
         "call": fuzz_call(counts["frames"], seed),
@@ -205,7 +205,7 @@ def frames(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 
 
 def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
-    """Calls a retargeter with `count` faulty frames: within the limits, or refused as not finite."""
+    """Calls a retargeter with `count` faulty frames: results are within the limits, or frames refused."""
     rng = np.random.default_rng(seed)
     retarget = smooth_retargeter()
     if backend == "numba":
@@ -217,7 +217,7 @@ def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
             q = retarget(points)
         except GeortError:
             refused += 1
-            # Refused are points that are not finite, or whose squares are not.
+            # Only points that are not finite, or whose squares are not, may be refused.
             violations += bool(np.abs(points).max() < 1e150)
         else:
             violations += not ((LOWER <= q) & (q <= UPPER)).all()
@@ -225,19 +225,19 @@ def fuzz_call(count: int, seed: int, backend: str = "numpy") -> dict:
 
 
 def guard(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Commands that fold the hand into itself, through the guard."""
+    """Sends commands that fold the hand into itself to the guard."""
     result = fuzz_guard(counts["commands"], seed)
     report(1, 1)
     return {**result, "failures": [f"the guard: {result}"] if result["violations"] else []}
 
 
 def updates(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Very many updates."""
+    """Checks violations, memory and speed over very many updates."""
     results, failures = soak(counts["updates"]), []
     for name, result in results.items():
         if result["violations"] or result["growth_mb"] > GROWTH_MB:
             failures.append(f"{name}: {result}")
-        # Fewer take no time that could be told from the machine's moods.
+        # With fewer updates, noise of the machine hides a slow-down.
         elif result["slow_down"] > SLOW_DOWN and counts["updates"] >= 100_000:
             failures.append(f"{name} slows down: {result}")
     report(1, 1)
@@ -245,7 +245,7 @@ def updates(counts: dict, seed: int, folder: Path, report: Report) -> dict:
 
 
 def trials(counts: dict, seed: int, folder: Path, report: Report) -> dict:
-    """Grasps under the eyes of physics."""
+    """Simulates grasps and checks their physics at every step."""
     from faults.physics import watched
     from grasp_setup import centred_map, human_with, scenario_with
 
@@ -278,7 +278,7 @@ PARTS: dict[str, Callable[[dict, int, Path, Report], dict]] = {
 
 
 def table(figures: dict[str, dict]) -> str:
-    """The figures as CSV."""
+    """Returns the figures as CSV."""
     rows = [("what", "count", "outcome")]
     if part := figures.get("inputs"):
         for kind, count in part["tried"].items():

@@ -1,9 +1,9 @@
-"""Figures of a universal map on people it never saw: from one second, and from thirty seconds of them.
+"""Scores a universal map on unseen people, adapted to one second and to thirty seconds of play.
 
 python studies/universal_map.py models/maps/allegro_right.safetensors --people 40 \
     --recordings alex.npy manus.npz
 
-The people are those of the population after the ones of the training. Each code is taken from the start of a
+The people follow those of the training in the population. Each code is estimated from the start of a
 recording; figures are of the whole recording.
 """
 
@@ -30,7 +30,7 @@ BEST = (max, max, max, max, min, min, min, min, min)
 
 
 def figures_of(metrics: dict) -> list[float]:
-    """The columns of one person; NaN where a figure does not exist."""
+    """Returns the columns of one person; NaN for a figure that does not exist."""
     pinch = metrics["pinch"]
     values = (
         metrics["motion_preservation"],
@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("map", type=Path)
     parser.add_argument("--people", type=int, default=12)
-    parser.add_argument("--duration", type=float, default=60.0, help="of each person's play, s")
+    parser.add_argument("--duration", type=float, default=60.0, help="duration of each person's play, s")
     parser.add_argument("--recordings", nargs="*", type=Path, default=[])
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(argv)

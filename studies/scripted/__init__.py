@@ -1,5 +1,5 @@
-"""Scripted robots without a person, for the gates: a module for each task, of its name.
+"""Scripted robots without a person, for `gates.py`: a module for each task, named after it.
 
-Each has `plans(scenario, description)`, the ways to do the task with joint positions, the best first, and
-`scripted(scenario, plan, seed)`, the score of one trial, 0 without success.
+Each has `plans(scenario, description)`, which returns plans with joint positions, the best first, and
+`scripted(scenario, plan, seed)`, which returns the score of a trial, 0 without success.
 """

@@ -10,12 +10,12 @@ from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from scripted.robot import hand_order, run_script
 
-_START = 2.0  # s, until the fingers are around the cap
-_MOVES = (1.0, 1.5, 0.7, 1.0)  # s: squeeze, turn, open, return
+_START = 2.0  # s, time until the fingers are around the cap
+_MOVES = (1.0, 1.5, 0.7, 1.0)  # s, durations: squeeze, turn, open, return
 
 
 class ScriptedCap(LeafSystem):
-    """Repeats the planned stroke, blindly.
+    """Repeats the planned stroke without feedback.
 
     Output ports:
         desired_state (2n): joint positions and velocities in actuator order.
@@ -49,10 +49,10 @@ class ScriptedCap(LeafSystem):
 
 
 def plans(scenario: Scenario, description: HandDescription) -> list[CapPlan]:
-    """Places of the cap."""
+    """Returns plans for the cap, the best first."""
     return CapPlanner(description).plans()
 
 
 def scripted(scenario: Scenario, plan: CapPlan, seed: int) -> float:
-    """Score of the scripted robot in one trial, 0 without success."""
+    """Returns the score of the scripted robot in one trial, 0 without success."""
     return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedCap(plan, *robot))

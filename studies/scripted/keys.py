@@ -1,4 +1,4 @@
-"""The scripted robot of keys."""
+"""The scripted robot of the keys."""
 
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
@@ -10,7 +10,7 @@ from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from scripted.robot import hand_order, run_script
 
-MOVE = 0.3  # s, of a finger
+MOVE = 0.3  # s, duration of a finger's movement
 
 
 class ScriptedKeys(LeafSystem):
@@ -28,7 +28,7 @@ class ScriptedKeys(LeafSystem):
         start = np.array([joint.default_positions()[0] for joint in actuated_joints(scene.plant, scene.hand)])
         postures = [start, plan.q_open[order], *(q[order] for q in plan.q_pressed)]
         cue = self.DeclareVectorInputPort("cue", 1)
-        # Where the last movement began, its posture's number, and when.
+        # Start of the last movement (n), number of its target posture, and its start time.
         state = self.DeclareDiscreteState(np.array([*start, 0.0, 0.0]))
         n = len(start)
 
@@ -42,7 +42,7 @@ class ScriptedKeys(LeafSystem):
         def update(context: Context, values) -> None:
             memory, t = context.get_discrete_state(state).value(), context.get_time()
             wanted = 1 + round(cue.Eval(context)[0])
-            # A press is held for a moment, and released before its cue ends.
+            # A press is held briefly and released before its cue ends.
             if memory[n] > 1 and t - memory[n + 1] > 2 * MOVE:
                 wanted = 1
             elif memory[n] == 1 and wanted > 1 and t - memory[n + 1] < 6 * MOVE:
@@ -58,10 +58,10 @@ class ScriptedKeys(LeafSystem):
 
 
 def plans(scenario: Scenario, description: HandDescription) -> list[KeysPlan]:
-    """Places of the keys."""
+    """Returns plans for the keys, the best first."""
     return KeysPlanner(description).plans()
 
 
 def scripted(scenario: Scenario, plan: KeysPlan, seed: int) -> float:
-    """Score of the scripted robot in one trial, 0 without success."""
+    """Returns the score of the scripted robot in one trial, 0 without success."""
     return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedKeys(plan, *robot))

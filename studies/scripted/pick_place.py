@@ -1,4 +1,4 @@
-"""The scripted robot of the tasks that bring an object to its place."""
+"""The scripted robot of pick and place."""
 
 import functools
 
@@ -13,18 +13,18 @@ from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.pick_place.task import HOVER, PickPlaceTask
 from geort_drake.simulation.trial import run_trial
 
-PULL = 0.1  # share of the way to the middle of the joint ranges in an iteration
+PULL = 0.1  # fraction of the distance to the middle of the joint ranges per iteration
 
 
 def plans(scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
-    """The task's own, whose joint positions inverse kinematics finds."""
+    """Returns the task's own plans; inverse kinematics finds the joint positions."""
     return find_task(scenario.task).plans(scenario, description)
 
 
 def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
-    """Score of a robot that knows where object and place are, and carries out the plan; 0 without success.
+    """Returns the score of a robot that knows object and place and carries out the plan; 0 without success.
 
-    A first run ends with the lift and tells how the object then lies in the hand.
+    A first run ends with the lift and gives the object's orientation in the hand.
     """
     task, oracle = find_task(scenario.task), _oracle(scenario.hand)
     assert isinstance(task, PickPlaceTask)
@@ -42,9 +42,9 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
 
 
 class _RelaxedOracle(Oracle):
-    """Fingers that can reach a place in several postures prefer the middle of their joint ranges.
+    """An oracle whose redundant fingers prefer the middle of their joint ranges.
 
-    Without this, they drift while they squeeze, and do not open on the way on which they closed.
+    Without this, they drift while they squeeze, and open along another path than they closed.
     """
 
     def _solve(self, q: np.ndarray, targets: np.ndarray, iterations: int) -> np.ndarray:

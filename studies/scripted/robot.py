@@ -1,4 +1,4 @@
-"""Runs a script in place of a person, a glove, a map and an arm's controller."""
+"""Runs a script in place of person, glove, map and arm controller."""
 
 from collections.abc import Callable
 
@@ -18,12 +18,11 @@ from geort_drake.simulation.world import HAND, Scene, actuated_joints, add_robot
 def run_script(
     scenario: Scenario, goal: Goal, seed: int, script_for: Callable[[Scene, HandDescription], LeafSystem]
 ) -> float:
-    """Score of a script in one trial, 0 without success.
+    """Returns the score of a script in one trial, 0 without success.
 
     Args:
-        script_for: makes the script. Its input ports are things shown by the stage, which it sees without
-            delay or noise. Output `desired_state` drives the hand. Output `arm_desired_state` drives the
-            arm, which stays where it is without that port.
+        script_for: makes the script. Its input ports are ports of `Stage.shown`, without delay or noise. Its
+            output `desired_state` drives the hand, and `arm_desired_state`, if it exists, the arm.
     """
     description = load_hand(scenario.hand)
     robot, _ = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
@@ -59,5 +58,5 @@ def run_script(
 
 
 def hand_order(scene: Scene, description: HandDescription) -> list[int]:
-    """Number in the description's joints of each actuated joint of the hand, in actuator order."""
+    """Returns the index among the description's joints of each actuated joint, in actuator order."""
     return [description.joint_names.index(joint.name()) for joint in actuated_joints(scene.plant, scene.hand)]

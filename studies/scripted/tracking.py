@@ -15,17 +15,17 @@ from geort_drake.systems.port_values import vector_to_pose
 from scripted.robot import hand_order, run_script
 
 _PERIOD = 0.01  # s
-_MOVES = (0.5, 2.0, 2.0)  # s: until the fingers move, are around the puck, and squeeze
-_SQUEEZE = 0.010  # m, of fingertips beyond the puck's surface
-_RATE, _SPEED = 3.0, 0.03  # 1/s, of the puck's error, and largest speed of a fingertip, m/s
-_PULL = 0.05  # share of the way to the middle of the joint ranges in a step
+_MOVES = (0.5, 2.0, 2.0)  # s, durations: wait, move the fingers around the puck, squeeze
+_SQUEEZE = 0.010  # m, depth of fingertips below the puck's surface
+_RATE, _SPEED = 3.0, 0.03  # correction rate of the puck's error, 1/s; largest speed of a fingertip, m/s
+_PULL = 0.05  # fraction of the distance to the middle of the joint ranges per iteration
 
 
 class ScriptedTracking(LeafSystem):
     """Closes the fingers on the puck, and then moves their targets by v + ω × r towards the puck's target.
 
     Input ports:
-        hand_pose (7), object_pose (7), target_pose (7), cue (1): as of the stage.
+        hand_pose (7), object_pose (7), target_pose (7), cue (1): ports of `Stage.shown`.
     Output port:
         desired_state (2n): joint positions and velocities in actuator order.
     """
@@ -84,10 +84,10 @@ class ScriptedTracking(LeafSystem):
 
 
 def plans(scenario: Scenario, description: HandDescription) -> list[TrackingPlan]:
-    """Grips of the puck."""
+    """Returns plans of grips of the puck, the best first."""
     return TrackingPlanner(description).plans()
 
 
 def scripted(scenario: Scenario, plan: TrackingPlan, seed: int) -> float:
-    """Score of the scripted robot in one trial, 0 without success."""
+    """Returns the score of the scripted robot in one trial, 0 without success."""
     return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedTracking(plan, *robot))

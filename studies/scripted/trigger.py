@@ -10,15 +10,15 @@ from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from scripted.robot import hand_order, run_script
 
-_MOVES = (0.5, 2.0, 1.0)  # s: until the fingers move, are around the handle, and squeeze
-_RATE = 100.0  # 1/(m s), share of the whole pull per missing travel of the pad and second
+_MOVES = (0.5, 2.0, 1.0)  # s, durations: wait, move the fingers around the handle, squeeze
+_RATE = 100.0  # 1/(m s), fraction of the whole pull per missing travel of the pad and second
 
 
 class ScriptedTrigger(LeafSystem):
-    """Moves a hand between the planned postures, and pulls in proportion to what is missing.
+    """Moves a hand between the planned postures, and pulls at a rate proportional to the missing travel.
 
     Input ports:
-        cue (1), travel (1): of `TriggerMonitor`.
+        cue (1), travel (1): ports of `TriggerMonitor`.
     Output port:
         desired_state (2n): joint positions and velocities in actuator order.
     """
@@ -29,7 +29,7 @@ class ScriptedTrigger(LeafSystem):
         start = np.array([joint.default_positions()[0] for joint in actuated_joints(scene.plant, scene.hand)])
         q_open, q_held, q_pulled = (q[order] for q in (plan.q_open, plan.q_held, plan.q_pulled))
         cue, travel = self.DeclareVectorInputPort("cue", 1), self.DeclareVectorInputPort("travel", 1)
-        pulled = self.DeclareDiscreteState(1)  # share of the whole pull
+        pulled = self.DeclareDiscreteState(1)  # fraction of the whole pull
 
         def update(context: Context, values) -> None:
             share = context.get_discrete_state(pulled).value()[0]
@@ -48,10 +48,10 @@ class ScriptedTrigger(LeafSystem):
 
 
 def plans(scenario: Scenario, description: HandDescription) -> list[TriggerPlan]:
-    """Places of the handle."""
+    """Returns plans for the handle, the best first."""
     return TriggerPlanner(description).plans()
 
 
 def scripted(scenario: Scenario, plan: TriggerPlan, seed: int) -> float:
-    """Score of the scripted robot in one trial, 0 without success."""
+    """Returns the score of the scripted robot in one trial, 0 without success."""
     return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedTrigger(plan, *robot))
