@@ -1,10 +1,10 @@
-"""Times the call of a retargeter in NumPy against the same map compiled by numba and run by ONNX Runtime.
+"""Times a retargeter's call in NumPy against the same map compiled by numba and run by ONNX Runtime.
 
 python benchmarks/bench_backends.py --json backends.json
 
-Needs `pip install numba onnx onnxruntime` beside this package. All sides check shape and finiteness, and
-the answers are compared. numba's side is `load_retargeter(path, backend="numba")`; before its first run on a
-machine it compiles.
+Needs `pip install numba onnx onnxruntime`. All sides check shape and finiteness, and their results are
+compared. The numba side is `load_retargeter(path, backend="numba")`, which compiles before its first run on a
+machine.
 """
 
 import math
@@ -20,9 +20,9 @@ from geort_drake.errors import GeortError
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = parser(__doc__)
-    made.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
-    arguments = parse(made, argv)
+    options = parser(__doc__)
+    options.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    arguments = parse(options, argv)
     retarget = untrained(arguments.method)
     layers = dense_layers(arguments.method)
     try:
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def with_onnx(
     weights, biases, own: np.ndarray, residual: np.ndarray, dtype
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """One session with one thread."""
+    """Returns a call of an ONNX Runtime session with one thread."""
     import onnxruntime
     from onnx import helper, numpy_helper
 

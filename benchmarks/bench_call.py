@@ -1,15 +1,15 @@
-"""Times one retargeting call against its bare arithmetic and against other retargeters, side by side.
+"""Times one retargeting call against its bare arithmetic and other retargeters, in turns.
 
 python benchmarks/bench_call.py --json call.json
 
-Every function gets the frames of the same motion in order, in NumPy, and gives joint angles in NumPy. Rows:
+Every function gets the frames of the same motion in order, and returns joint angles, in NumPy. Rows:
   call                 this package's call on the fingertips, all checks on; the reference of the ratios
   call, whole hand     the same on 21 keypoints
-  bare arithmetic      the products of the call's weights with vectors alone, by BLAS, nothing else
+  bare arithmetic      only the products of the call's weights with vectors, by BLAS
   published, PyTorch   one network per finger with batch normalisation, as the paper's authors run it
-  the same without gradients   in PyTorch's no_grad, which they do not use
-  dex-retargeting ...  that package's optimisers, where it is installed (pip install dex-retargeting six)
---scaling times hands of more fingers and batches of more hands instead.
+  the same without gradients   in PyTorch's no_grad, which the authors do not use
+  dex-retargeting ...  that package's optimisers, if it is installed (pip install dex-retargeting six)
+--scaling times hands with more fingers and larger batches instead.
 """
 
 import argparse
@@ -34,11 +34,11 @@ HAND = "allegro_right"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = parser(__doc__)
-    add_retargeter_options(made)
-    made.add_argument("--recording", type=Path, help="of a right hand (default: synthetic play at 30 Hz)")
-    made.add_argument("--scaling", action="store_true", help="grow the hand and the batch")
-    arguments = parse(made, argv)
+    options = parser(__doc__)
+    add_retargeter_options(options)
+    options.add_argument("--recording", type=Path, help="recording of a right hand (default: synthetic play)")
+    options.add_argument("--scaling", action="store_true", help="time larger hands and batches")
+    arguments = parse(options, argv)
     torch.set_num_threads(1)
     recording = (
         read_recording(arguments.recording, "right")
@@ -67,13 +67,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def over(function: Callable[[np.ndarray], object], frames: np.ndarray) -> Callable[[], object]:
-    """A function of no arguments that takes the next frame each time it is called."""
+    """Returns a function without arguments that takes the next frame at each call."""
     ever = itertools.cycle(list(frames))
     return lambda: function(next(ever))
 
 
 def bare_arithmetic(method: str) -> Callable[[np.ndarray], np.ndarray]:
-    """The products of a vector (12,) with the weights, in as few calls of BLAS as they allow."""
+    """Returns a function that multiplies a vector (12,) by the weights, in the fewest calls of BLAS."""
     (first, last), _, own, residual = dense_layers(method)
     h, u, y = np.empty(len(last)), np.empty(len(last)), np.empty(16)
     count, width = own.shape[:2]
@@ -94,13 +94,13 @@ def bare_arithmetic(method: str) -> Callable[[np.ndarray], np.ndarray]:
 class Published:
     """The retargeter of the paper: NumPy in and out, PyTorch between.
 
-    The paper fixes independent networks of each finger with a tanh at the end. That they are 3 → 128 →
-    128 → n, with batch normalisation after both hidden layers, and are evaluated with PyTorch's recording
-    of gradients left on, is how its authors released it.
+    The paper specifies independent networks for each finger with a final tanh. The authors' released code
+    adds the sizes 3 → 128 → 128 → n, batch normalisation after both hidden layers, and evaluation while
+    PyTorch records gradients.
     """
 
     def __init__(self, tips: np.ndarray):
-        """`tips` (T, 4, 3) in m are frames that set the statistics of the normalisation."""
+        """`tips` (T, 4, 3), m, are frames that set the statistics of the normalisation."""
         nn = torch.nn
         with torch.random.fork_rng(devices=[]):  # layers take their weights from no other generator
             torch.manual_seed(0)
@@ -119,14 +119,14 @@ class Published:
         self.lower, self.upper = -np.ones(16), np.ones(16)
 
     def __call__(self, p_HF: np.ndarray) -> np.ndarray:
-        """Joint angles (16,) in rad for fingertips (4, 3) in m."""
+        """Returns joint angles (16,), rad, for fingertips (4, 3), m."""
         x = torch.from_numpy(p_HF[None]).float()
         y = torch.cat([network(x[:, i]) for i, network in enumerate(self.networks)], dim=-1)
         return self.lower + 0.5 * (y[0].detach().numpy() + 1.0) * (self.upper - self.lower)
 
 
 def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], object]]:
-    """The package's optimisers on hands (T, 21, 3), or nothing where it is not installed."""
+    """Returns the package's optimisers on hands (T, 21, 3); none if it is not installed."""
     hand, functions = HandModel(description), {}
     for name, kind in TYPES.items():
         ours = make_untrained(name, hand.kinematics(), description.human_keypoints)
@@ -141,7 +141,7 @@ def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], ob
 
 
 def grow(arguments: argparse.Namespace, hands: np.ndarray) -> None:
-    """Hands of two to five fingers, and batches; ratios are over the Allegro hand's size, alone."""
+    """Times hands of two to five fingers, and batches; ratios are to a single hand of the Allegro's size."""
     names = list(FINGERS)
     functions = {
         f"{count} fingers": over(

@@ -16,9 +16,9 @@ STEP = 1e-5  # m
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = parser(__doc__)
-    made.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
-    arguments = parse(made, argv)
+    options = parser(__doc__)
+    options.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
+    arguments = parse(options, argv)
     retarget = untrained(arguments.method)
     hands = np.random.default_rng(1).normal(0.0, 0.03, (100, 4, 3))
     errors = [np.abs(retarget.jacobian(p_HF) - differences(retarget, p_HF)).max() for p_HF in hands]
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def differences(retarget: Retargeter, p_HF: np.ndarray) -> np.ndarray:
-    """∂q/∂p_HF (n, F, 3) by central differences of second and fourth order combined (Richardson)."""
+    """Returns ∂q/∂p_HF (n, F, 3), rad/m, by central differences with Richardson extrapolation."""
     steps = np.eye(p_HF.size).reshape(-1, *p_HF.shape)
 
     def central(step: float) -> np.ndarray:

@@ -1,14 +1,14 @@
-"""Times the live web page: from a hand's message to the joint targets, and from a camera's picture to them.
+"""Times the live web page: from a hand's message to the joint targets, and from a picture to its hand.
 
 python benchmarks/bench_live.py --seconds 600 --json live.json
 python benchmarks/bench_live.py --seconds 60 --film hand.mjpeg
 
-A scripted page in another process sends a headset's joints and reads all poses; their time stamps are of this
-machine's monotonic clock, so that a delay begins before the message is sent. It records, plays as guided, and
-fits the map, and resets every two minutes, so growth is that of sessions with everything on. The JSON file
-has 60 samples of memory and delay over time. With a film of a hand, which `film_hand` of
-tests/live_page.py makes, Chromium's camera plays it to the page instead. `late` counts pauses of a loop that
-could not keep real time.
+A scripted page in another process sends a headset's joints and reads all poses; its time stamps are on this
+machine's monotonic clock, so that delays include sending. It records, plays the guided motions, fits the map,
+and resets every two minutes, so memory growth is that of sessions with everything on. The JSON file has 60
+samples of memory and delay over time. With --film, a film of a hand made by `film_hand` of
+tests/live_page.py, Chromium's camera plays it to the page instead. `late` counts pauses of a loop that could
+not keep real time.
 """
 
 import asyncio
@@ -33,15 +33,15 @@ from geort_drake.console import console, run_main
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.play import synthesize_play
 
-# Columns are the axes of a headset's space in H of a hand that points forward; the wrist is in front of it.
+# A headset's space S relative to H of a hand that points forward, and the wrist's position in S, m.
 R_HS = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 P_SH = np.array([0.2, 1.2, -0.3])
-# Requests of the page, and when, s; guided play takes half a minute.
+# Command of the page → when it is sent, s; guided play takes half a minute.
 COMMANDS = {"engage": 0.2, "record": 0.5, "guide": 1.0, "refit": 40.0}
 EXTRA = {"record": {"keep": True}}
-RESET_S = 120.0  # the page's person engages again after a second
+RESET_S = 120.0  # s between two resets; the page engages again after a second
 SAMPLES = 60
-# Notes how old each picture is when its hand is sent, ms, and counts pictures of the 3D view.
+# Collects the age of each picture when its hand is sent, ms, and counts drawings of the 3D view.
 READ_PAGE = """
   const send = WebSocket.prototype.send;
   window.ages = [];
@@ -66,8 +66,8 @@ READ_PAGE = """
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser(__doc__)
     options.add_argument("--retargeter", type=Path, help="checkpoint (default: the command's)")
-    options.add_argument("--film", type=Path, help="Motion JPEG of a hand, which a camera plays to the page")
-    options.add_argument("--rate", type=float, default=72.0, help="hands a second")
+    options.add_argument("--film", type=Path, help="Motion JPEG film of a hand for the page's camera")
+    options.add_argument("--rate", type=float, default=72.0, help="hands per second")
     options.add_argument("--scenario-text", default="{}", help="YAML merged into the scenario")
     arguments = parse(options, argv)
     with tempfile.TemporaryDirectory() as folder:
@@ -120,7 +120,7 @@ def _film(address: str, film: Path, seconds: float) -> dict[str, float]:
     """Lets the page follow a film.
 
     Returns:
-        Time from a picture to its hand, ms, and hands and drawn views a second.
+        Time from a picture to its hand, ms, and hands and drawn views per second.
     """
     from playwright.sync_api import sync_playwright
 
@@ -150,12 +150,12 @@ def _film(address: str, film: Path, seconds: float) -> dict[str, float]:
 async def _play(
     address: str, server: int, rate: float, seconds: float, began: float
 ) -> tuple[dict[str, float], list[dict[str, float]]]:
-    """Plays hands to the server, with everything on.
+    """Sends hands to the server, with everything on.
 
     Returns:
-        Time from the command to the first motion, s; frames a second; and after the first quarter, growth of
-        the server's memory, MB, and its share of one core. And samples over time: s, memory in MB, and median
-        and 99th percentile of the newest 300 delays, ms.
+        Figures: time from the command to the first motion, s; frames per second; and after the first quarter,
+        growth of the server's memory, MB, and its share of one core. And samples over time: time, s; memory,
+        MB; median and 99th percentile of the newest 300 delays, ms.
     """
     base, key = address.split("/#")
     hands = synthesize_play(0, duration_s=60.0, rate_hz=rate).p_HK
@@ -212,7 +212,7 @@ async def _play(
 
 
 def _used(process: int) -> tuple[float, float]:
-    """Memory, MB, and processor time, s, of a process."""
+    """Returns memory, MB, and processor time, s, of a process."""
     status = Path(f"/proc/{process}/status").read_text()
     times = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[11:13]
     memory = int(re.search(r"VmRSS:\s+(\d+)", status)[1]) / 1024

@@ -3,8 +3,8 @@
 python benchmarks/bench_recorder.py --json recorder.json
 
 Free bodies are simulated and recorded at 60 Hz: all in the air, a third of them rolling on the ground with a
-contact each (a few more contacts than in a grasp), and all of them rolling. A frame costs its sample and its
-part of writing the file, in CPU time of the thread.
+contact each (a few more contacts than in a grasp), and all of them rolling. The cost of a frame is its sample
+and its share of writing the file, in CPU time of the thread.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from geort_drake.console import console, run_main
 
 PERIOD = 1 / 60  # s
 RADIUS = 0.05  # m
-HEIGHT = 1e5  # m; what falls from there stays in the air
+HEIGHT = 1e5  # m; bodies that fall from this height stay in the air
 FIGURES = {
     "contacts": "{:.0f}",
     "sample_ms": "{:.3f}",
@@ -40,17 +40,17 @@ FIGURES = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = parser(__doc__)
-    made.add_argument("--bodies", type=int, default=30, help="how many (default: %(default)s)")
-    made.add_argument("--repeats", type=int, default=3, help="the median counts (default: %(default)s)")
-    arguments = parse(made, argv)
+    options = parser(__doc__)
+    options.add_argument("--bodies", type=int, default=30, help="number of bodies (default: %(default)s)")
+    options.add_argument("--repeats", type=int, default=3, help="repeats, for medians (default: %(default)s)")
+    arguments = parse(options, argv)
     rolling = {
         "in the air": 0,
         "a third on the ground": arguments.bodies // 3,
         "on the ground": arguments.bodies,
     }
     rows = {name: _figures(arguments, count) for name, count in rolling.items()}
-    table = Table("", *(figure.replace("_", " ") for figure in FIGURES))  # which break at spaces
+    table = Table("", *(figure.replace("_", " ") for figure in FIGURES))  # headings wrap at spaces
     for name, row in rows.items():
         table.add_row(name, *(form.format(row[figure]) for figure, form in FIGURES.items()))
     console.print(table)
@@ -60,7 +60,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _figures(arguments: argparse.Namespace, rolling: int) -> dict[str, float]:
-    """Medians over the repeats."""
+    """Returns medians over the repeats."""
     frames = round(arguments.seconds / PERIOD) + 1
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "bodies.rrd"
@@ -78,7 +78,7 @@ def _figures(arguments: argparse.Namespace, rolling: int) -> dict[str, float]:
 
 
 def _record(bodies: int, rolling: int, frames: int, path: Path) -> tuple[float, float, int, float]:
-    """CPU seconds of sampling and of writing, contacts at the end, and megabytes written."""
+    """Returns CPU seconds of sampling and of writing, final number of contacts, and megabytes written."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=PERIOD)
     friction = CoulombFriction(0.5, 0.5)
@@ -94,7 +94,7 @@ def _record(bodies: int, rolling: int, frames: int, path: Path) -> tuple[float, 
     for i, body in enumerate(map(plant.GetBodyByName, [f"body_{i}" for i in range(bodies)])):
         p_WB = [0.3 * (i % 6), 0.3 * (i // 6), RADIUS if i < rolling else HEIGHT]
         plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(p_WB))
-    # Samples are taken by force, so that nothing else is timed.
+    # Samples are forced, so that nothing else is timed.
     recorder = add_rerun_recorder(builder, plant, scene_graph, path, period=2 * frames * PERIOD)
     simulator = Simulator(builder.Build())
     context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())

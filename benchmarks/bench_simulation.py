@@ -1,17 +1,17 @@
-"""Times a grasp trial against real time: everything on, what recording costs, and each system's share.
+"""Times a grasp trial against real time: with everything, without recording, and each system's share.
 
 python benchmarks/bench_simulation.py --json simulation.json
 
-Several copies of the same trial are simulated in turns of a quarter of a simulated second. Speeds use the CPU
+Several copies of the same trial are simulated in turns of a quarter of a simulated second. Speeds are per CPU
 time of the thread, for each turn and in total. Rows:
   everything on   arm, hand, object, contact, operator, retargeting, inverse kinematics, monitor, recording
   no recording    the same without the Rerun recorder; the reference of the ratios
   1 ms            everything on at half the time step, which changes the course of the trial
   replay          the recorded motion of hand and wrist in place of the simulated person, at both steps
   robot alone     the trial's joint targets from a Drake source, without any system in Python
-Shares come from another simulation in which each Python system is timed without the calls it makes to others,
-and without the reading of its ports, for which Drake computes poses and contacts that its next step uses too.
-What the timers take themselves does not count. The rest is Drake: dynamics, contact and the framework.
+Shares are from another simulation in which each Python system is timed without its calls of other systems and
+without reading its ports, for which Drake computes poses and contacts that its next step uses, too. The time
+of the timers is subtracted. The rest is Drake: dynamics, contact and the framework.
 """
 
 import argparse
@@ -55,16 +55,16 @@ MODELS = (ARM, HAND)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = argparse.ArgumentParser(
+    options = argparse.ArgumentParser(
         description=__doc__.splitlines()[0], epilog=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    made.add_argument("--object", default="cylinder", help="what to grasp (default: %(default)s)")
-    made.add_argument("--retargeter", type=Path, help="checkpoint (default: trained on synthetic play)")
-    made.add_argument(
-        "--seconds", type=float, default=25.0, help="simulated at most, s (default: %(default)s)"
+    options.add_argument("--object", default="cylinder", help="object to grasp (default: %(default)s)")
+    options.add_argument("--retargeter", type=Path, help="checkpoint (default: trained on synthetic play)")
+    options.add_argument(
+        "--seconds", type=float, default=25.0, help="longest simulated time, s (default: %(default)s)"
     )
-    made.add_argument("--json", type=Path, help="write the figures to this file")
-    arguments = parse(made, argv)
+    options.add_argument("--json", type=Path, help="write the figures to this file")
+    arguments = parse(options, argv)
     make = Maker(arguments.object, arguments.retargeter)
     with tempfile.TemporaryDirectory() as folder:
         paths = (Path(folder) / f"{number}.rrd" for number in itertools.count())
@@ -91,19 +91,19 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class Trial:
-    """A trial that is advanced by turns."""
+    """A trial that is advanced in turns."""
 
     def __init__(self, parts: TrialDiagram):
         self.parts = parts
         self.simulator = Simulator(parts.diagram)
         parts.initialize(self.simulator.get_mutable_context())
-        # Of each turn: simulated s, CPU s, and how far the grasp was at its end.
+        # Per turn: simulated time, s, CPU time, s, and the phase of the grasp at its end.
         self.simulated: list[float] = []
         self.cpu: list[float] = []
         self.phases: list[str] = []
 
     def advance(self, until: float) -> None:
-        """Simulates one turn, unless the trial is over."""
+        """Simulates up to `until`, s, unless the trial is over."""
         context = self.parts.monitor.GetMyContextFromRoot(self.simulator.get_context())
         if self.parts.monitor.outcome(context).over:
             return
@@ -115,10 +115,10 @@ class Trial:
 
 
 class RobotAlone:
-    """The robot and the object of a trial, which Drake drives along recorded joint targets."""
+    """The robot and object of a trial, driven by Drake along recorded joint targets."""
 
     def __init__(self, scenario: Scenario, t: Sequence[float], targets: Mapping[str, Sequence[np.ndarray]]):
-        """Takes times (T,), s, and the desired states (T, 2n) of each model at these times."""
+        """`t` (T,) are times, s; `targets` are the desired states (T, 2n) of each model at these times."""
         builder = DiagramBuilder()
         rng = np.random.default_rng(scenario.random_seed)
         scene = add_scene(builder, scenario, load_hand(scenario.hand), rng)
@@ -135,7 +135,7 @@ class RobotAlone:
         self.phases = [""]
 
     def advance(self, until: float) -> None:
-        """Simulates one turn, unless the recording is over."""
+        """Simulates up to `until`, s, unless the targets are over."""
         before = self._simulator.get_context().get_time()
         if before < self._end:
             started = time.thread_time()
@@ -145,7 +145,7 @@ class RobotAlone:
 
 
 class Maker:
-    """Makes simulations, all of the same trial."""
+    """Makes simulations of the same trial."""
 
     def __init__(self, object_name: str, retargeter: Path | None):
         self._object = object_name
@@ -162,11 +162,11 @@ class Maker:
         return Trial(make_trial_diagram(_scenario(self._object, step), self._retarget, human, rerun_path))
 
     def session(self) -> Recording:
-        """What the person's hand does in the trial."""
+        """Returns the recording of the person's hand in the trial."""
         return run_trial(_scenario(self._object), self._retarget, self._human)[1]
 
     def robot_alone(self) -> RobotAlone:
-        """The trial's robot and object, with the joint targets of a trial that this simulates first."""
+        """Returns the trial's robot and object, with joint targets from a trial that it simulates first."""
         trial = self()
         plant, t = trial.parts.plant, []
         ports = {
@@ -191,13 +191,13 @@ def _scenario(name: str, step: float = 0.002) -> Scenario:
 
 
 def _shares(kinds: set[type], make: Callable[[], Trial], seconds: float) -> dict[str, float]:
-    """Each kind of system's share of the CPU time of a simulation, and what is left for Drake."""
+    """Returns each kind of system's share of the CPU time of a simulation, and Drake's, the rest."""
     _calibrate()
     spent: dict[str, float] = defaultdict(float)
     for kind in kinds:
         _time_callbacks(kind, spent)
     InputPort.Eval = _timed(InputPort.Eval, "read ports", spent)
-    # Now, because systems declare their callbacks when they are made.
+    # Made only now, because systems declare their callbacks when they are made.
     trial = make()
     _advance({"timed": trial}, seconds)
     trial.parts.recorder.close()
@@ -208,7 +208,7 @@ def _shares(kinds: set[type], make: Callable[[], Trial], seconds: float) -> dict
 
 
 def _systems(diagram: Diagram) -> Iterator:
-    """This package's systems in a diagram and those within it."""
+    """Yields this package's systems in a diagram and its subdiagrams."""
     for system in diagram.GetSystems():
         if isinstance(system, Diagram):
             yield from _systems(system)
@@ -217,12 +217,12 @@ def _systems(diagram: Diagram) -> Iterator:
 
 
 _inner: list[float] = []
-# CPU time that a timer adds to the call and around it, s; see `_calibrate`.
+# CPU time that a timer adds inside and outside of the measured time, s; see `_calibrate`.
 _cost = [0.0, 0.0]
 
 
 def _time_callbacks(kind: type, spent: dict[str, float]) -> None:
-    """Adds up the time of a class's methods that get a context, less that of other such methods in them."""
+    """Times a class's methods that take a context, without the time of other such methods in them."""
     for base in kind.__mro__:
         if base.__module__.startswith("geort_drake."):
             for name, function in list(vars(base).items()):
@@ -233,7 +233,7 @@ def _time_callbacks(kind: type, spent: dict[str, float]) -> None:
 
 
 def _timed(function: Callable, name: str, spent: dict[str, float]) -> Callable:
-    """A function whose time is added under a name, less that of timed functions in it."""
+    """Returns a function that adds its time, without that of timed functions in it, to `spent[name]`."""
 
     def wrapper(*args, **kwargs):
         _inner.append(0.0)

@@ -2,7 +2,7 @@
 
 python benchmarks/bench_startup.py --json startup.json
 
-NumPy's own import, which everything else includes, is a row of its own.
+NumPy's import, which all others include, has its own row.
 """
 
 import subprocess
@@ -20,7 +20,7 @@ from untrained import FORMS, untrained, untrained_arrays
 from geort_drake.console import console, run_main
 from geort_drake.retargeting.checkpoint import save_checkpoint
 
-# What a child process does: the first statement is prepared, the second is timed.
+# Program of a child process: `before` is not timed, `code` is.
 TIMED = """
 import sys, time
 {before}
@@ -85,7 +85,7 @@ def _timed(before: str, code: str) -> list[str]:
 
 
 def _checkpoint(method: str, path: Path) -> Path:
-    """A checkpoint with random weights, of a trained one's size."""
+    """Writes a checkpoint with random weights, of a trained one's size."""
     model = untrained(method)
     names = {"finger_names": list(model.finger_names), "joint_names": list(model.joint_names)}
     limits = {"lower": model.lower.tolist(), "upper": model.upper.tolist()}

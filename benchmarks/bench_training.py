@@ -3,11 +3,11 @@
 python benchmarks/bench_training.py --recording human_alex.npy --json training.json
 
 Rows, in wall time:
-  geort_coupled   from the recording to the weights, robot samples included
+  geort_coupled   from the recording to the weights, including robot samples
   refit           from the universal map to one person's, with the default number of steps
-  public recipe   50 epochs of 25 batches of 2,048, each finger's points drawn by themselves, the Chamfer term
-                  through all distances between two clouds; written from the paper. A few batches are timed
-                  before and after each training and multiplied; its pretraining is left out, in its favour
+  public recipe   50 epochs of 25 batches of 2,048, each finger's points drawn independently, the Chamfer term
+                  over all distances between two clouds; written from the paper. A few batches are timed
+                  before and after each training and extrapolated; its pretraining is left out, in its favour
 """
 
 import os
@@ -32,18 +32,18 @@ from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.methods.coupled import CoupledConfig
 
 EPOCHS, BATCHES, POINTS = 50, 25, 2048
-TIMED = 5  # batches before a training, and as many after it
+TIMED = 5  # number of batches timed before, and after, a training
 OURS, REFIT, PUBLIC = "geort_coupled", "refit", "public recipe"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = parser(__doc__)
-    made.set_defaults(seconds=1.0)
-    made.add_argument("--recording", type=Path, help="of a right hand (default: synthetic play)")
-    made.add_argument(
+    options = parser(__doc__)
+    options.set_defaults(seconds=1.0)
+    options.add_argument("--recording", type=Path, help="recording of a right hand (default: synthetic play)")
+    options.add_argument(
         "--steps", type=int, default=CoupledConfig().steps, help="of geort_coupled (default: %(default)s)"
     )
-    arguments = parse(made, argv)
+    arguments = parse(options, argv)
     recording = (
         read_recording(arguments.recording, "right", training=True)
         if arguments.recording
@@ -64,9 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     while not times[OURS] or time.perf_counter() < end:
         batches = [timed(batch) for _ in range(TIMED)]
         times[OURS].append(fit_time(train))
-        times[REFIT].append(
-            fit_time(lambda path: refit_checkpoint(recording, path, HAND, show_progress=False))
-        )
+        times[REFIT].append(fit_time(refit))
         batches += [timed(batch) for _ in range(TIMED)]
         times[PUBLIC].append(EPOCHS * BATCHES * float(np.median(batches)))
     table = Table(title=f"training for {HAND}, {os.cpu_count()} cores")
@@ -91,15 +89,15 @@ def timed(function: Callable[[], object]) -> float:
 
 
 def fit_time(train: Callable[[Path], Path]) -> float:
-    """Seconds from the recording to the weights; the evaluation, which follows, is not part of them."""
+    """Returns the seconds from the recording to the weights, without the evaluation that follows."""
     with tempfile.TemporaryDirectory() as folder:
         return load_checkpoint(train(Path(folder) / "map")).provenance["timings"]["fit_s"]
 
 
 def public_batch(tips: np.ndarray) -> Callable[[], None]:
-    """One step of the public recipe on fingertips (T, 4, 3), m: forth, back, and Adam.
+    """Returns a step of the public recipe on fingertips (T, 4, 3), m: forward, backward, and Adam.
 
-    Where fingertips go is a network's answer too; what it says does not matter here, so it is not trained.
+    The recipe's forward kinematics is a network, too; its output does not matter here, so it is untrained.
     """
     generator = torch.Generator().manual_seed(0)
     networks = Published(tips).networks.train()

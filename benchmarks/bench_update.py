@@ -1,12 +1,12 @@
-"""Times one update of RetargetingSystem against the bare retargeting call in it, side by side.
+"""Times one update of RetargetingSystem against the bare retargeting call in it, in turns.
 
 python benchmarks/bench_update.py --json update.json
 
 Every function gets the frames of the same motion in order, one per period. Rows:
   call          the bare retargeter on a whole hand; the reference of the ratios
-  update        keypoints written into the input port, the system's update through Drake, its new state kept
-  and status    the same, and the status read
-  ports alone   as `update`, of a system that computes nothing, with ports and states of the same sizes
+  update        writing the input port, the system's update through Drake, and setting its new state
+  and status    the same, and reading the status
+  ports alone   `update` of a system that computes nothing, with ports and states of the same sizes
 """
 
 import itertools
@@ -26,9 +26,9 @@ PERIOD = 0.01
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = parser(__doc__)
-    add_retargeter_options(made)
-    arguments = parse(made, argv)
+    options = parser(__doc__)
+    add_retargeter_options(options)
+    arguments = parse(options, argv)
     retarget = untrained(arguments.method, backend=arguments.backend)
     hands = synthesize_play(seed=0, duration_s=60.0, rate_hz=1 / PERIOD).p_HK.astype(float)
     keypoints = [FINGERS[name] for name in retarget.finger_names]
@@ -48,9 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def updates(system: LeafSystem, hands: np.ndarray, read: str = "") -> Callable[[], object]:
-    """A function of no arguments that takes the next frame through one update each time it is called.
+    """Returns a function without arguments that updates the system with the next frame at each call.
 
-    Then it evaluates the output port `read`, if there is one.
+    Then it evaluates the output port `read`, if given.
     """
     context = system.CreateDefaultContext()
     frames = itertools.cycle(list(hands.reshape(len(hands), -1)))
@@ -70,7 +70,7 @@ def updates(system: LeafSystem, hands: np.ndarray, read: str = "") -> Callable[[
 
 
 class Idle(LeafSystem):
-    """A system with the input ports and the state of another that changes nothing."""
+    """A system with the input ports and states of another, whose update does nothing."""
 
     def __init__(self, other: LeafSystem):
         super().__init__()

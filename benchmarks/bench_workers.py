@@ -3,10 +3,10 @@
 python benchmarks/bench_workers.py --retargeter runs/allegro_right --json workers.json
 
 Each number of workers runs the same trials in turns, in new processes; results must be equal.
-  trials/min      of the whole turn, including the start of the workers
-  once begun      of the trials alone: number of workers over the mean time of a trial
-  start           until the last worker begins its first trial
-  memory          the largest peak of a worker
+  trials/min      for the whole turn, including the start of the workers
+  once begun      for the trials alone: number of workers divided by the mean time of a trial
+  start           time until the last worker begins its first trial
+  memory          largest peak of a worker
 """
 
 import argparse
@@ -32,12 +32,12 @@ from geort_drake.simulation.scenario_files import load_scenario
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    made = parser(__doc__)
-    made.set_defaults(seconds=1.0)
-    made.add_argument("--retargeter", default="hold", help="method or checkpoint (default: %(default)s)")
-    made.add_argument("--object", default="cylinder", help="what to grasp (default: %(default)s)")
-    made.add_argument("--trials", type=int, default=16, help="of a turn (default: %(default)s)")
-    arguments = parse(made, argv)
+    options = parser(__doc__)
+    options.set_defaults(seconds=1.0)
+    options.add_argument("--retargeter", default="hold", help="method or checkpoint (default: %(default)s)")
+    options.add_argument("--object", default="cylinder", help="object to grasp (default: %(default)s)")
+    options.add_argument("--trials", type=int, default=16, help="trials per turn (default: %(default)s)")
+    arguments = parse(options, argv)
     numbers = worker_counts()
     turns: dict[int, list[dict]] = {number: [] for number in numbers}
     wanted = None
@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def turn(tasks: Sequence[Trial], workers: int) -> tuple[dict, list[dict]]:
-    """Figures of one turn, and the trials' results."""
+    """Returns the figures of one turn, and the trials' results."""
     started = time.time()
     done = list(call_in_workers(measured, ((task,) for task in tasks), workers, ordered=True))
     ended = time.time()
@@ -85,23 +85,23 @@ def turn(tasks: Sequence[Trial], workers: int) -> tuple[dict, list[dict]]:
 
 
 def measured(task: Trial) -> tuple[dict, int, float, float, float]:
-    """The result of a trial, its process, when it began and ended, and that process's memory so far, MiB."""
+    """Returns a trial's result, process id, times of begin and end, s, and the process's peak memory, MiB."""
     begun = time.time()
     result = simulate(task)
     return result, os.getpid(), begun, time.time(), _memory()
 
 
 def _memory() -> float:
-    """The largest that this process ever was, MiB."""
+    """Returns the peak memory of this process, MiB."""
     status = Path("/proc/self/status")
-    if status.exists():  # for Linux, what `getrusage` tells a process begins with the size of its parent
+    if status.exists():  # on Linux, `getrusage` starts from the parent's peak
         (line,) = (line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
         return int(line.split()[1]) / 2**10
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def report(turns: dict[int, list[dict]], arguments: argparse.Namespace) -> None:
-    """A table of medians over the turns, and the same as JSON."""
+    """Prints a table of medians over the turns, and writes them as JSON."""
     table = Table(title=f"trials with the {arguments.object}, {arguments.retargeter}")
     for heading in ("workers", "trials/min", "over one", "once begun", "over one", "start", "memory"):
         table.add_column(heading, justify="right")

@@ -1,4 +1,4 @@
-"""Retargeters of the dex-retargeting package, set up as our online baselines are."""
+"""Retargeters of the dex-retargeting package with the settings of our online baselines."""
 
 import tempfile
 from pathlib import Path
@@ -10,15 +10,15 @@ from geort_drake.hands.model import HandModel
 from geort_drake.hands.urdf import hand_urdf
 from geort_drake.retargeting.methods import online
 
-# Name of our method → the package's type of optimiser.
+# Name of our method → type of the package's optimiser.
 TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
 
 
 def make_dex_retargeter(name: str, hand: HandModel, huber_delta: float) -> Any:
-    """The package's counterpart of our method of that name, for the same hand.
+    """Returns the package's counterpart of our method `name`, for the same hand.
 
     Raises:
-        ImportError: the package is missing: pip install dex-retargeting six
+        ImportError: the package is not installed: pip install dex-retargeting six
     """
     from dex_retargeting.retargeting_config import RetargetingConfig
 
@@ -30,7 +30,7 @@ def make_dex_retargeter(name: str, hand: HandModel, huber_delta: float) -> Any:
 
 
 def _settings(kind: str, urdf: Path, description, huber_delta: float) -> dict:
-    """dex-retargeting's settings with the names and numbers of ours."""
+    """Returns dex-retargeting's settings with our names and values."""
     tips = [f"{finger.name}_tip" for finger in description.fingers]
     settings = {"type": kind, "urdf_path": str(urdf), "scaling_factor": online.SCALE, "low_pass_alpha": 1.0}
     if kind == "vector":

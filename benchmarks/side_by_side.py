@@ -1,4 +1,4 @@
-"""Timing of several functions in turns, so that other load affects all of them alike; for the benchmarks."""
+"""Times functions in turns, so that other load affects them equally; shared by all benchmarks."""
 
 import argparse
 import datetime
@@ -17,42 +17,42 @@ from rich.table import Table
 from geort_drake.console import console
 from geort_drake.files import require_writable, write_text
 
-BLOCK = 0.002  # s; a block is long against a switch of functions and short against other programs' turns
+BLOCK = 0.002  # s; long compared with a switch of functions, short compared with other programs' time slices
 
 
 def parser(doc: str) -> argparse.ArgumentParser:
-    """With the options that all benchmarks share."""
-    made = argparse.ArgumentParser(
+    """Returns a parser with the options that all benchmarks share."""
+    options = argparse.ArgumentParser(
         description=doc.splitlines()[0], epilog=doc, formatter_class=argparse.RawTextHelpFormatter
     )
-    made.add_argument(
+    options.add_argument(
         "--seconds", type=float, default=20.0, help="time to measure for (default: %(default)s)"
     )
-    made.add_argument("--json", type=Path, help="write the figures to this file")
-    return made
+    options.add_argument("--json", type=Path, help="write the figures to this file")
+    return options
 
 
-def parse(made: argparse.ArgumentParser, argv) -> argparse.Namespace:
-    """The arguments; a file that cannot be written is refused before the work."""
-    arguments = made.parse_args(argv)
+def parse(options: argparse.ArgumentParser, argv) -> argparse.Namespace:
+    """Parses the arguments; refuses a --json file that cannot be written before the work."""
+    arguments = options.parse_args(argv)
     if arguments.json:
         require_writable(arguments.json)
     return arguments
 
 
 def worker_counts() -> list[int]:
-    """1, 2, 4, ... as far as there are cores, and one per core."""
+    """Returns 1, 2, 4, ... up to the number of cores, and that number."""
     cores = joblib.cpu_count()
     return sorted({1, *(n for n in (2, 4, 8, 16, 32) if n < cores), cores})
 
 
 def measure(functions: Mapping[str, Callable[[], object]], seconds: float) -> dict[str, dict]:
-    """Calls the functions in turns, a block of calls each, until the time is over.
+    """Calls the functions in turns, a block of calls each, for `seconds`.
 
     Returns:
-        Per name: how many calls, median and percentiles of one call in µs by the wall clock and by the
-        CPU time of the thread (which leaves out other programs' turns, and includes 0.8 µs of its own
-        clock), and `blocks`, the median CPU time of each block.
+        Name → number of calls; median and percentiles of a call, µs, in wall time and in CPU time of the
+        thread (without other programs' time slices, but with 0.8 µs of its clock); and `blocks`, the median
+        CPU time of each block, µs.
     """
     wall: dict[str, list[int]] = {name: [] for name in functions}
     cpu: dict[str, list[list[int]]] = {name: [] for name in functions}
@@ -71,7 +71,7 @@ def measure(functions: Mapping[str, Callable[[], object]], seconds: float) -> di
 
 
 def _fastest(function: Callable[[], object]) -> float:
-    """Seconds of the fastest of some calls, which warm the function up as well."""
+    """Returns the seconds of the fastest of some calls, which also warm up the function."""
     times, end = [], time.perf_counter() + 20 * BLOCK
     while len(times) < 3 or time.perf_counter() < end:
         started = time.perf_counter()
@@ -89,7 +89,7 @@ def _summary(wall_ns: np.ndarray, cpu_ns: np.ndarray) -> dict:
 
 
 def ratios(results: Mapping[str, dict], to: str) -> dict[str, dict]:
-    """CPU time over that of `to`, block by block: median, 5th and 95th percentile over the turns."""
+    """Returns the ratio of CPU times to those of `to`, block by block: median and percentiles 5 and 95."""
     found = {}
     for name, row in results.items():
         p5, median, p95 = np.percentile(row["blocks"] / results[to]["blocks"], [5, 50, 95])
@@ -98,7 +98,7 @@ def ratios(results: Mapping[str, dict], to: str) -> dict[str, dict]:
 
 
 def report(title: str, results: Mapping[str, dict], to: str, path: Path | None, **more) -> None:
-    """Prints a table with ratios to the row `to`, and writes everything as JSON where `path` is given."""
+    """Prints a table with ratios to the row `to`, and writes everything as JSON if `path` is given."""
     against = ratios(results, to)
     table = Table(title=title)
     for heading in ("", "median", "p99", "CPU median", "CPU p99", f"CPU over '{to}' (p5 – p95)"):
@@ -119,13 +119,13 @@ def report(title: str, results: Mapping[str, dict], to: str, path: Path | None, 
 
 
 def write_json(path: Path, **content) -> None:
-    """Writes the figures with what they were measured on."""
+    """Writes the figures with facts about the machine."""
     write_text(path, json.dumps({**content, "machine": machine()}, indent=2) + "\n")
     print(path)
 
 
 def machine() -> dict:
-    """Processor, versions, load and command."""
+    """Returns processor, versions, load and command."""
     blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
     return {
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),

@@ -1,4 +1,4 @@
-"""Retargeters with random weights in the sizes of trained ones, for timing the calls of trained ones."""
+"""Retargeters with random weights of the size of trained ones, for timing."""
 
 import argparse
 
@@ -14,7 +14,7 @@ FORMS = ("geort_coupled", "geort")
 
 
 def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> dict[str, np.ndarray]:
-    """What a checkpoint of the method holds for a hand of `fingers` fingers with `joints` joints each."""
+    """Returns the arrays of a checkpoint for a hand of `fingers` fingers with `joints` joints each."""
     rng = np.random.default_rng(seed)
     hidden = HIDDEN if method == "geort_coupled" else GeortConfig().hidden
     widths = (3, hidden, hidden, joints)
@@ -35,39 +35,39 @@ def untrained_arrays(method: str, fingers: int, joints: int, seed: int = 0) -> d
     arrays = {name: rng.normal(0.0, 1.0 / np.sqrt(shape[-2:][0]), shape) for name, shape in shapes.items()}
     for name in ("weight0", "residual_weight0"):
         if name in arrays:
-            arrays[name] *= 50.0  # fingertips move by centimetres
+            arrays[name] *= 50.0  # because fingertips move by centimetres
     return arrays | {"columns": np.arange(fingers * joints)}
 
 
 def untrained(
     method: str, fingers: int = 4, joints: int = 4, seed: int = 0, backend: str = BACKENDS[0]
 ) -> Retargeter:
-    """A retargeter of `untrained_arrays`; the default is the Allegro hand's size."""
+    """Returns a retargeter of `untrained_arrays`; by default of the Allegro hand's size."""
     n = fingers * joints
     names, keypoints = list(FINGERS)[:fingers], list(FINGERS.values())[:fingers]
     arrays = untrained_arrays(method, fingers, joints, seed)
-    made = trained_method(method).retargeter(
+    retargeter = trained_method(method).retargeter(
         arrays, names, [f"joint_{j}" for j in range(n)], keypoints, -np.ones(n), np.ones(n)
     )
     if backend == "numba":
-        made.compile()
-    return made
+        retargeter.compile()
+    return retargeter
 
 
 def add_retargeter_options(parser: argparse.ArgumentParser) -> None:
-    """--method and --backend, as `untrained` takes them."""
+    """Adds --method and --backend, for `untrained`."""
     parser.add_argument("--method", choices=FORMS, default=FORMS[0], help="(default: %(default)s)")
     parser.add_argument(
-        "--backend", choices=BACKENDS, default=BACKENDS[0], help="of calls (default: %(default)s)"
+        "--backend", choices=BACKENDS, default=BACKENDS[0], help="backend of calls (default: %(default)s)"
     )
 
 
 def dense_layers(method: str) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
-    """`untrained_arrays` of the Allegro hand's size with all hidden units side by side.
+    """Returns `untrained_arrays` of the Allegro hand's size, with the fingers' layers joined.
 
     Returns:
-        Weights of the layers 0 (12, H) and 2 (H, 16), biases of the layers 0, 1 and 2, and the weights of
-        layer 1 apart: of the fingers (4, h, h), and of the residual (r, r), which is (0, 0) in `geort`.
+        Weights of the layers 0 (12, H) and 2 (H, 16), biases of the layers 0, 1 and 2, and the separate
+        weights of layer 1: of the fingers (4, h, h), and of the residual (r, r), which is (0, 0) in `geort`.
     """
     arrays = untrained_arrays(method, 4, 4)
     first, last = (np.zeros((4, a, 4, b)) for a, b in (arrays[f"weight{k}"].shape[1:] for k in (0, 2)))

@@ -1,4 +1,4 @@
-"""A method of the dex-retargeting package: AnyTeleop's vectors from the wrist to the fingertips."""
+"""A method of the dex-retargeting package: AnyTeleop's vectors from wrist to fingertips."""
 
 import tempfile
 
@@ -9,7 +9,7 @@ from geort_drake.hands.urdf import hand_urdf
 
 
 def make(hand):
-    """A function from keypoints (21, 3), m, to joint angles (n,), rad."""
+    """Returns a function from keypoints (21, 3), m, to joint angles (n,), rad."""
     tips = [f"{name}_tip" for name in hand.finger_names]
     human = np.array([[0] * len(tips), hand.description.human_keypoints])
     with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:

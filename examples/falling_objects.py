@@ -1,4 +1,4 @@
-"""Objects of Drake fall into a box; the recording shows their contact forces."""
+"""Records objects that fall into a box, and their contact forces."""
 
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -26,7 +26,7 @@ for number, model in enumerate(falling):
     p_WB = [*rng.uniform(-0.06, 0.06, 2), 0.2 + 0.12 * number]
     plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(RollPitchYaw(rng.uniform(-1, 1, 3)), p_WB))
 
-# Seen from above, because the box has walls.
+# From above, because the box has walls.
 view_from = (0.35, -0.35, 0.75)
 recorder = add_rerun_recorder(builder, plant, scene_graph, "objects.rrd", view_from=view_from)
 simulator = Simulator(builder.Build())

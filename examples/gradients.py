@@ -1,4 +1,4 @@
-"""Finds the fingertips that lead to a given posture, by gradients through the map."""
+"""Finds human fingertips for a given robot posture, by gradients through the map."""
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
@@ -17,7 +17,7 @@ contexts = {T: system.CreateDefaultContext() for T, system in systems.items()}
 
 
 def positions(p_HF):
-    """Joint positions (16,) for twelve fingertip coordinates, as numbers or AutoDiffXd."""
+    """Returns joint positions (16,), rad, for twelve fingertip coordinates, m, as float or AutoDiffXd."""
     T = AutoDiffXd if p_HF.dtype == object else float
     keypoints = np.zeros((21, 3), dtype=p_HF.dtype) + p_HF[0] * 0
     keypoints[tips] = p_HF.reshape(4, 3)

@@ -1,4 +1,4 @@
-"""My glove's .npz: `markers` (T, 21, 3), mm, wrist last; `time` (T), s."""
+"""Reads my glove's .npz: `markers` (T, 21, 3), mm, wrist last; `time` (T,), s."""
 
 from typing import Any
 
@@ -9,11 +9,11 @@ ORDER = [20, *range(20)]  # indices of our keypoints in the file
 
 
 def recognizes(contents: Any) -> bool:
-    """Whether a file with such a suffix has this format."""
+    """Whether a file with one of `SUFFIXES` has this format."""
     return "markers" in contents
 
 
 def read(file: Source, side: str) -> Tracks:
-    """The keypoints as the file gives them; `side` is what the user asked for."""
+    """Returns the keypoints as stored in the file; `side` is the side that the user selected."""
     p_WK = file.array("markers", (21, 3))[:, ORDER]
     return Tracks(p_WK, file.times(len(p_WK)), world=True, side=file.side(), unit="mm")
