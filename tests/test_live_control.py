@@ -196,10 +196,7 @@ def test_exports_end_when_they_are_closed(tmp_path, monkeypatch):
     exports.close()
     for thread in threads:
         thread.join(120.0)
-    assert sorted(errors) == [
-        "grasp: ended before it was done",
-        "grasp: not started before the page's server ended",
-    ]
+    assert sorted(errors) == ["grasp: closed before it started", "grasp: ended before it was done"]
     with pytest.raises(ProcessLookupError):
         os.kill(int((tmp_path / "number").read_text()), 0)
 

@@ -117,8 +117,7 @@ def parse_json(text: bytes, schema: Any, where: str) -> dict:
     """Parses JSON that must have at least the fields of a TypedDict or dataclass.
 
     Raises:
-        BenchmarkError: the text is not JSON, or a field is missing, of a wrong type or not finite; the
-            message begins with `where`.
+        BenchmarkError: not JSON, or a field is missing, of a wrong type or not finite; starts with `where`.
     """
     try:
         content = json.loads(text)

@@ -48,8 +48,7 @@ class SimulatedRobot:
         target_pose (7): see `Target`; only if the task has one.
 
     Attributes:
-        diagram: the simulation. It is an attribute, not a base class, because Drake never frees a subclass in
-            Python, nor its plant (drake#24162).
+        diagram: the simulation; not a base class, as Drake never frees subclasses in Python (drake#24162).
         hand, arm: the joints of each.
         stage: the task's stage.
 

@@ -173,7 +173,7 @@ def make_trial_diagram(
             retargeting,
             correction,
             wrist_to_arm,
-            # The person's hand is drawn beside the robot's, towards the camera.
+            # The person's hand is drawn next to the robot's, towards the camera.
             RigidTransform(X_WB_start.translation() + [-0.05, -0.42, -0.10]),
             dict(properties or {}),
         )

@@ -112,12 +112,9 @@ class FingerPlanner(abc.ABC, Generic[Plan]):
         )
 
     def reach(self, p_BF: np.ndarray, guess: np.ndarray) -> np.ndarray | None:
-        """Returns joint positions (n,), rad, with the fingertips at p_BF (K, 3), m, or None.
+        """Returns joint positions (n,), rad, near `guess` with the fingertips at p_BF (K, 3), m, or None.
 
         Only the tips may touch each other, and the joints keep a margin to their limits.
-
-        Args:
-            guess: (n,) joint positions from which the search starts, rad.
         """
         hand, columns = self.hand, self._columns
         margin = _LIMIT_MARGIN * (hand.upper - hand.lower)

@@ -52,8 +52,7 @@ class FingerTask(Task[Intended]):
     Attributes:
         settings: dataclass of the scenario's `task_settings`.
         planner: class that plans the goals.
-        monitor_type: class of the monitor, constructed from the number of fingers and the settings unless
-            `make_monitor` is overridden.
+        monitor_type: class of the monitor, made from number of fingers and settings by `make_monitor`.
         person_type: class that decides how the fingers move.
         percepts: ports of view or monitor that the person perceives besides fingertips and hand pose.
     """

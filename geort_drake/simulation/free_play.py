@@ -30,7 +30,7 @@ def seen_fingertips(
 
     Args:
         retarget: the method; for a universal map, the result of `after_play`.
-        latency: of the method, s; if it exceeds the time between frames, the method gets fewer frames.
+        latency: latency of the method, s; if it exceeds the time between frames, the method gets fewer.
     """
     if callable(reset := getattr(retarget, "reset", None)):
         reset()

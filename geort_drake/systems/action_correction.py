@@ -60,7 +60,7 @@ class ActionCorrection(LeafSystem):
 
     def _prerequisites(self) -> set:
         """Returns the dependency tickets of the output port."""
-        # Time is not among them, so that the output is not computed anew for each step of the plant.
+        # Time is not among them, so that the output is not recomputed at each step of the plant.
         ports = [self._desired]
         if type(self).correct is not ActionCorrection.correct:
             ports.append(self._measured)

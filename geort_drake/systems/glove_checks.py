@@ -73,7 +73,7 @@ def find_fault(
     """Returns the fault of the keypoints (63,), or None; updates `memory`.
 
     Args:
-        time: of this update, s.
+        time: time of this update, s.
         period: time since the last update, s.
         valid: whether the glove tracks the hand.
         stamp: time of measurement, s on the glove's clock; None if unknown.

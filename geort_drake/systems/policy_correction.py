@@ -46,7 +46,7 @@ class PolicyCorrection(PeriodicCorrection):
         period: time between calls of the policy, s.
 
     Raises:
-        HandError, ValueError: as for `PeriodicCorrection`.
+        HandError, ValueError: see `PeriodicCorrection`.
     """
 
     def __init__(

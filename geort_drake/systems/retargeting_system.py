@@ -290,9 +290,8 @@ class RetargetingSystem(LeafSystem):
     def _excess(self, points: np.ndarray, before: float, moved: float) -> float:
         """Returns by how much the largest distance to training exceeds the tolerance, m.
 
-        While the sign cannot have changed since the last result, `before`, the distance is not measured: the
-        result has the right sign and at most the right magnitude. A distance changes by no more than the
-        fingertip moves; `moved` is the largest motion of a coordinate, m.
+        A distance changes by no more than the fingertip moves. If motions of coordinates by up to `moved`, m,
+        cannot change the sign of the last result, `before`, the result is only a bound with the same sign.
         """
         if self._trained_space is None:
             return math.nan

@@ -38,9 +38,9 @@ class SceneView(LeafSystem):
         links: L names.
 
     Args:
-        plant: finalized.
+        plant: finalized plant.
         hand: the model instance of the hand, as `add_hand_model` adds it.
-        inspector: of the plant's scene graph.
+        inspector: inspector of the plant's scene graph.
         parts: other bodies of the object, whose contacts count as its own.
     """
 

@@ -23,7 +23,7 @@ from geort_drake.systems.joint_limits import JointLimits
 
 @dc.dataclass
 class WristToArmConfig:
-    """How the arm follows the wrist."""
+    """Gains and limits with which the arm follows the wrist."""
 
     # Period of the differential inverse kinematics, s.
     period: float = 0.01

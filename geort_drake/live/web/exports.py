@@ -51,7 +51,7 @@ class SessionExports:
         command = ["nice", "-n", "10", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
         with self._lock:
             if self._closed:
-                raise LiveError(f"{words[0]}: not started before the page's server ended")
+                raise LiveError(f"{words[0]}: closed before it started")
             # In a process group of its own, so that Ctrl-C does not end it.
             self._process = process = subprocess.Popen(
                 command,

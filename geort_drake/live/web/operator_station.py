@@ -37,8 +37,7 @@ FIST_S = 1.0
 # Time within which a second `engage` must confirm the first one of a real robot, s.
 _CONFIRM_S = 5.0
 _MAX_HANDS = 100  # most hands that wait for the loop
-# In a fist, a fingertip is nearer to its knuckle than this fraction of the finger's length; around a cup it
-# is not.
+# In a fist, but not around a cup, a fingertip is nearer to its knuckle than this fraction of its finger.
 _FIST = 0.5
 
 

@@ -14,7 +14,7 @@ _VISIBLE_TURN = np.deg2rad(1.0)  # smallest turn of the cap that is seen as prog
 
 
 class CapPhase(enum.IntEnum):
-    """What the person is doing."""
+    """Phases of a person who unscrews a cap."""
 
     SETTLE = 0  # moves the fingers around the cap
     CLOSE = 1  # until the cap is felt

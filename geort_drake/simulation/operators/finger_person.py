@@ -1,8 +1,7 @@
 """Base class of a person who moves the robot's fingers by moving their own.
 
 The person sees the robot's fingertips and what the task shows, with delay and noise, and moves their own
-fingers. The wrist stays in place. The person does not know the retargeting map. Tasks give the reference
-motion.
+fingers but not the wrist. They do not know the retargeting map. Tasks give the reference motion.
 """
 
 import abc

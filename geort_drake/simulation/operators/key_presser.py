@@ -16,7 +16,7 @@ _PRESS = np.array([1.0, 0.0, 0.0])  # direction of a press in B
 
 
 class KeyPhase(enum.IntEnum):
-    """What the person is doing."""
+    """Phases of a person who presses keys."""
 
     SETTLE = 0  # moves the fingers above the keys
     WAIT = 1

@@ -17,7 +17,7 @@ _SHAPING_S = 4.0
 
 
 class PuckPhase(enum.IntEnum):
-    """What the person is doing."""
+    """Phases of a person who moves a puck."""
 
     SETTLE = 0  # moves the fingers around the puck, with corrections
     CLOSE = 1  # until the puck is felt

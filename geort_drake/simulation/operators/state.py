@@ -13,7 +13,7 @@ from geort_drake.systems.port_values import Immutable
 
 
 class Phase(enum.IntEnum):
-    """What the person is doing."""
+    """Phases of a person who grasps or places an object."""
 
     REACH = 0  # moves the hand in front of the object and opens the fingers
     APPROACH = 1  # moves the hand around the object

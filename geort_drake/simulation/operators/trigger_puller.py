@@ -15,7 +15,7 @@ _PULL = 1  # value of the cue to pull
 
 
 class TriggerPhase(enum.IntEnum):
-    """What the person is doing."""
+    """Phases of a person who pulls a trigger."""
 
     SETTLE = 0  # moves the fingers to handle and pad
     CLOSE = 1  # closes the fingers around the handle until it is felt

@@ -69,8 +69,7 @@ class GraspOutcome(Outcome):
     holding: dict[str, float] = dc.field(default_factory=dict)
     # Last phase in which a finger touched the object, except phases that end a trial.
     last_touched: GraspPhase = GraspPhase.REACH
-    # Lifts that ended: the object was back on its support, or fewer than two fingers touched it for
-    # `drop_time`.
+    # Lifts that ended: back on the support, or fewer than two fingers touched it for `drop_time`.
     drops: int = 0
     # Largest displacement of the object's origin in B since the last lift began, m; NaN without a lift. A
     # lift begins with the phase LIFT and ends with a drop.
