@@ -52,7 +52,7 @@ def _fuzz(count: int, seed: int, folder: Path) -> None:
         from faults.mutations import mutate
         from faults.readers import sound_inputs
 
-    work_folder, corpus = folder / "work_folder", folder / "corpus"
+    work_folder, corpus = folder / "room", folder / "corpus"
     work_folder.mkdir()
     corpus.mkdir()
     readers = sound_inputs(work_folder)

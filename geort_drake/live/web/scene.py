@@ -60,7 +60,7 @@ class Scene:
         inspector: inspector of its scene graph.
         hand: description of its hand.
         parked: whether the arm stays in place.
-        target: body that is item again, translucent, at its target pose.
+        target: body that is drawn again, translucent, at its target pose.
     """
 
     def __init__(
@@ -141,7 +141,7 @@ class Scene:
                 return load_triangles(Path(source.path()), shape.scale3())
             except Exception as error:  # trimesh raises errors of many kinds
                 name = self._inspector.GetName(geometry)
-                warnings.warn(f"geometry {name}: item as its convex hull; {error}", stacklevel=4)
+                warnings.warn(f"geometry {name}: drawn as its convex hull; {error}", stacklevel=4)
         return hull(self._inspector, geometry)
 
     def _color(self, geometry: GeometryId) -> list[float]:

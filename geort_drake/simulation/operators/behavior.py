@@ -283,7 +283,7 @@ class GraspingPerson:
             if shift is not None:
                 state.movement = WristMovement.planned(state.X_WH, *shift, t, self._config, self._rng)
                 state.movements += 1
-        # Two periods after its end, the last pose has been applied, and the wrist stays wrist_arrived.
+        # Two periods after its end, the last pose has been applied, and the wrist stays there.
         if state.movement is not None and t < state.movement.t_end + 2 * self._config.period:
             state.X_WH = state.movement.pose(t)
 
