@@ -310,7 +310,7 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("evaluate --recording @/good.npy --held-out 1", ["held-out blocks must be 2 to 180", "not 1"]),
         ("synthesize out.npz --duration inf", ["--duration", "finite"]),
         ("synthesize out.npz --hand-of @/three.npy", ["three.npy: fitting a hand needs at least 10 valid"]),
-        ("check-recording .", [".: is a folder; a recording is a file, or a folder of .pkl files"]),
+        ("check-recording .", [".: a folder without .pkl files; a recording is a file"]),
         ("grasp --hand @/weightless.yaml", ["'weightless': joints that move no mass", "thumb_j1", ".urdf"]),
         ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
         ("convert @/good.npy file/out.npz", ["file", "directory"]),

@@ -60,7 +60,7 @@ def test_the_named_format_reads_the_same_as_the_one_detected(tmp_path):
     assert read_recording(path, format="openxr").digest == read_recording(path).digest
     with pytest.raises(RecordingError, match=r"lacks data; it contains joints\(400, 26, 7\), t"):
         open_recording(path, format="manus")
-    with pytest.raises(RecordingError, match=r"'manus_csv' is read from \.csv, not '\.npz'"):
+    with pytest.raises(RecordingError, match=r"'manus_csv' is read from \.csv files, not '\.npz'"):
         open_recording(path, format="manus_csv")
     with pytest.raises(UnknownNameError, match="unknown format 'leap'; choose one of: auto, dex_retargeting"):
         open_recording(path, format="leap")

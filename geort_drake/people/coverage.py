@@ -1,4 +1,4 @@
-"""Measures how much of the motion that training needs a recording contains: ranges, pinches, speeds."""
+"""Measures how well a recording covers the motion that training needs: ranges, pinches, speeds."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -8,8 +8,8 @@ import numpy as np
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES, TIP_KEYPOINT, WRIST
 from geort_drake.people.recording import PINCH_M, Recording
 
-# The required range of each motion, deg, and how to make it. The range is half of the smaller one in two
-# glove recordings (that of GeoRT's authors, MANUS subject 000).
+# The required range of each motion, deg, and how to make it. It is half of the smaller range in two glove
+# recordings (that of GeoRT's authors, and MANUS subject 000).
 _FINGER_MOTIONS = {
     "bends": (90.0, "stretch it fully and close it to a fist"),
     "moves sideways": (7.0, "spread the fingers and close them"),
@@ -22,12 +22,12 @@ _THUMB_MOTIONS = {
 # Required pinches per finger. People who are asked to pinch do so more than ten times in five minutes.
 PINCHES = 5
 _RELEASE_M = 1.5 * PINCH_M  # a pinch ends at this distance; the hysteresis ignores jitter
-_RIDGE = 0.01  # of the ridge regression; bending gives a mean square of a bone's coordinate above 0.1
+_RIDGE = 0.01  # of the ridge regression; the mean square of a bending bone's coordinate exceeds 0.1
 
 
 @dataclasses.dataclass(frozen=True)
 class Motion:
-    """A motion that training needs: name, recorded and required amount, and how to make it."""
+    """A motion that training needs: name, recorded and required amounts, and how to make it."""
 
     name: str
     seen: float
@@ -45,10 +45,10 @@ class Motion:
 
 
 def coverage(recording: Recording) -> list[Motion]:
-    """Every motion that training needs: the ranges of the fingers, then the pinches.
+    """Measures every motion that training needs: the ranges of the fingers, then the pinches.
 
     Args:
-        recording: with at least one valid frame.
+        recording: a recording with at least one valid frame.
     """
     motions = finger_motions(recording.p_HK[recording.valid])
     for finger, distance in pinch_distances(recording).items():
@@ -58,15 +58,15 @@ def coverage(recording: Recording) -> list[Motion]:
 
 
 def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOINT.values())) -> list[Motion]:
-    """The ranges of the fingers' motions, each from its 1st to its 99th percentile.
+    """Measures the ranges of the fingers' motions, each from its 1st to its 99th percentile.
 
     Bending is the sum of the angles between successive bones, from the metacarpal on. The other motions are
-    those of the first bone that moves: of a finger sideways, out of the plane in which it bends; of the thumb
+    those of the first moving bone: for a finger, sideways out of the plane in which it bends; for the thumb,
     its elevation over the x-z plane (across the palm) and over the y-z plane (off the palm).
 
     Args:
         p_HK: (T, 21, 3) keypoints in H, m, of valid frames.
-        keypoints: the fingertips whose fingers count; other keypoints name no finger.
+        keypoints: the fingertips whose fingers are measured; other keypoints are ignored.
     """
     motions = []
     for finger in (finger for finger, tip in TIP_KEYPOINT.items() if tip in keypoints):
@@ -85,7 +85,7 @@ def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOI
 
 
 def _out_of_plane(bones: np.ndarray) -> np.ndarray:
-    """Sines (T,) of the angles of unit vectors (T, 3) to the plane y = αx + βz that fits them best.
+    """Computes sines (T,) of the angles between unit vectors (T, 3) and their best-fitting plane y = αx + βz.
 
     The fingers' planes converge by up to 9°, so bending alone changes a bone's elevation over the x-z plane.
     """
@@ -96,30 +96,30 @@ def _out_of_plane(bones: np.ndarray) -> np.ndarray:
 
 
 def pinches(distance: np.ndarray) -> int:
-    """Number of pinches in which tips at `distance` (N,), m, come together and part again."""
-    # +1 where they touch, -1 where they are apart; in between, the last state stays.
+    """Counts how often tips at `distance` (N,), m, come together after being apart."""
+    # +1 where tips touch, -1 where they are apart; between the thresholds, the last state stays.
     state = np.where(distance < PINCH_M, 1, np.where(distance > _RELEASE_M, -1, 0))
     state = np.append(-1, state[state != 0])
     return int((np.diff(state) > 0).sum())
 
 
 def pinch_distances(recording: Recording) -> dict[str, np.ndarray]:
-    """Distances (N,), m, of the thumb's tip to that of each other finger, in the N valid frames."""
+    """Returns distances (N,), m, from the thumb's tip to each other fingertip, in the N valid frames."""
     distance = tip_distances(recording.p_HK[recording.valid].astype(float))
     return dict(zip(FINGER_NAMES[1:], distance.T, strict=True))
 
 
 def tip_distances(p_HK: np.ndarray) -> np.ndarray:
-    """Distances (..., 4), m, of the thumb's tip to those of index ... little, of keypoints (..., 21, 3)."""
+    """Computes distances (..., 4), m, from the thumb's tip to those of index to little, p_HK (..., 21, 3)."""
     p_HF = p_HK[..., list(TIP_KEYPOINT.values()), :]
     return np.linalg.norm(p_HF[..., 1:, :] - p_HF[..., :1, :], axis=-1)
 
 
 def fingertip_speeds(recording: Recording) -> np.ndarray:
-    """Speeds (N, 5), m/s, of the tips relative to the wrist, between neighbouring valid frames.
+    """Computes speeds (N, 5), m/s, of the tips relative to the wrist, between neighbouring valid frames.
 
     Repeated frames are dropped first: a recorder that polls faster than the glove delivers stores some frames
-    twice, which would look like a rest and then a jump.
+    twice, which would look like a rest followed by a jump.
     """
     fresh = np.concatenate([[True], np.any(np.diff(recording.p_HK, axis=0) != 0.0, axis=(1, 2))])
     kept = np.flatnonzero(fresh)

@@ -1,4 +1,4 @@
-"""Measurement errors of gloves and cameras in the keypoints of a hand.
+"""Models the measurement errors of gloves and cameras in the keypoints of a hand.
 
 The constants are distributions; comments give the source of each, or call it an assumption.
 """
@@ -11,13 +11,13 @@ from scipy.signal import lfilter
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import WRIST, to_wrist_frame
 
-# The skeleton. A glove's bone lengths come from one measurement of the hand or from none; a headset's tips
+# Skeleton. A glove's bone lengths come from one measurement of the hand or none; a headset's fingertips
 # are off by 11 mm on average (Abdlkarim et al. 2024, Behav. Res. Methods 56:1052), an eighth of a finger.
 _SCALE_SPREAD = 0.12
-# Assumption: joints are off by millimetres, the thumb's base most, because it is inside the palm.
+# Assumption: joints are off by millimetres, the thumb's base most, because it lies inside the palm.
 _KNUCKLE_M, _THUMB_BASE_M, _WRIST_M = 0.004, 0.009, 0.005
-# Position of the measured tip along the last bone, for the device and each finger. Assumption: under the
-# skin, because sensors sit on nails.
+# Offset of the measured tip along the last bone: mean and deviation of a device, deviation of each finger.
+# Assumption: tips lie under the skin, because sensors sit on nails.
 _TIP_M, _TIP_DEVIATION_M, _FINGER_TIP_M = -0.003, 0.005, 0.002
 _SHORTEST_BONE_M = 0.012
 
@@ -36,13 +36,13 @@ class Device:
 
     Attributes:
         rate_hz: frames per second.
-        scale: of the fingers it shows, relative to the person's.
-        tip_m: (5,) how far along the last bone it measures the tip beyond the true one, m.
-        misplaced: (5, 3) base points of the fingers relative to the true ones, m.
-        p_HD: (3,) its wrist, measured from the true one, m.
+        scale: ratio of measured to true finger lengths.
+        tip_m: (5,) offset of the measured tips along the last bones, m; positive beyond the true tip.
+        misplaced: (5, 3) errors of the fingers' base points in H, m.
+        p_HD: (3,) position of the measured wrist D in the true H, m.
         jitter: scale of a glove's jitter, tremor and drift, as in `synthesize_play`.
-        noise_m: deviation of each coordinate of a camera's keypoints, m; 0 for a glove.
-        scale_noise: relative deviation of the size of the hand that a camera sees; 0 for a glove.
+        noise_m: standard deviation of each coordinate of a camera's keypoints, m; 0 for a glove.
+        scale_noise: relative standard deviation of the hand's size in a camera's frames; 0 for a glove.
     """
 
     rate_hz: float
@@ -56,12 +56,12 @@ class Device:
 
     @property
     def is_camera(self) -> bool:
-        """Whether it sees the hand rather than being worn."""
+        """Whether the device is a camera rather than a glove."""
         return self.noise_m > 0
 
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Device":
-        """Draws a device."""
+        """Draws a device from the distributions above."""
         misplaced = rng.normal(0.0, _KNUCKLE_M, (5, 3))
         misplaced[0] += rng.normal(0.0, _THUMB_BASE_M, 3)
         camera = rng.random() < _CAMERA_SHARE
@@ -77,7 +77,7 @@ class Device:
         )
 
     def shown(self, hand: HumanHand) -> HumanHand:
-        """The hand as the device shows it."""
+        """Returns the hand as the device shows it, before noise and the error of the wrist."""
         lengths = self.scale * hand.lengths
         lengths[:, 2] += self.tip_m
         return dataclasses.replace(
@@ -85,20 +85,20 @@ class Device:
         )
 
     def measure(self, p_HK: np.ndarray, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
-        """Keypoints (T, 21, 3), m, of the hand that it shows, with its noise.
+        """Returns the keypoints (T, 21, 3), m, that the device measures; p_HK are those of the hand it shows.
 
-        They are in the frame H of the noisy keypoints, so the device's orientation makes no difference.
+        The result is in the frame H of the noisy keypoints, so the device's orientation makes no difference.
         """
         p_DK = p_HK - self.p_HD
         p_DK[:, WRIST] = 0.0
         if self.is_camera:
-            kept = np.exp(-1.0 / (rate_hz * _NOISE_TIME_S))
-            noise = self.noise_m * _autoregressive(p_DK.shape, kept, rng)
-            scale = np.exp(self.scale_noise * _autoregressive((len(p_DK), 1, 1), kept, rng))
+            coefficient = np.exp(-1.0 / (rate_hz * _NOISE_TIME_S))
+            noise = self.noise_m * _autoregressive(p_DK.shape, coefficient, rng)
+            scale = np.exp(self.scale_noise * _autoregressive((len(p_DK), 1, 1), coefficient, rng))
             p_DK = scale * (p_DK + noise)
         return to_wrist_frame(p_DK)
 
 
-def _autoregressive(shape: tuple[int, ...], kept: float, rng: np.random.Generator) -> np.ndarray:
-    """First-order autoregressive noise along the first axis, of deviation 1 and coefficient `kept`."""
-    return lfilter([np.sqrt(1.0 - kept**2)], [1.0, -kept], rng.normal(size=shape), axis=0)
+def _autoregressive(shape: tuple[int, ...], coefficient: float, rng: np.random.Generator) -> np.ndarray:
+    """Draws first-order autoregressive noise of unit deviation and given coefficient along the first axis."""
+    return lfilter([np.sqrt(1.0 - coefficient**2)], [1.0, -coefficient], rng.normal(size=shape), axis=0)

@@ -1,10 +1,10 @@
-"""A human hand as a kinematic model: 20 joints, four per finger, from angles to keypoints and back.
+"""Kinematic model of a human hand: 20 joints, four per finger, with forward and inverse kinematics.
 
-Every finger, the thumb included, is the same chain. Its base frame B sits in the palm with z along the
-straight finger and x towards the side the finger closes to. A universal joint (MCP, of the thumb CMC)
-flexes about y of B and then abducts about the turned −x, as in the ISB's joint coordinate system (Wu et al.
-2005, J. Biomech. 38:981). Two parallel hinges follow (PIP and DIP, of the thumb MCP and IP), turned about
-the bone by a fixed twist. So a finger bends in a plane, and its forward kinematics has a short closed form.
+All fingers, including the thumb, are the same chain. Its base frame B sits in the palm with z along the
+straight finger and x towards the side to which the finger closes. A universal joint (MCP; the thumb's CMC)
+flexes about y of B and then abducts about the rotated −x, as in the ISB's joint coordinate system (Wu et al.
+2005, J. Biomech. 38:981). Two parallel hinges follow (PIP and DIP; the thumb's MCP and IP), rotated about
+the bone by a fixed twist. A finger thus bends in a plane, and its forward kinematics has a closed form.
 """
 
 import dataclasses
@@ -24,20 +24,20 @@ _JOINT_SUFFIXES = {
 }
 JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
 
-_LARGEST_STEP = 0.4  # rad per iteration of the inverse kinematics
+_MAX_STEP = 0.4  # rad per iteration of the inverse kinematics
 _DAMPING_M = 2e-3  # steps are damped where a radian moves the tip by less than this
 
 # The straight thumb points 25° from z towards y; it flexes across the palm (−y) about +x.
 _THUMB_AZIMUTH = np.deg2rad(25.0)
 
-# Anatomy of an adult, finger by finger from thumb to little.
+# Anatomy of an adult, a row per finger from thumb to little.
 #
 # Bases: y and z from An et al. 1979 and Buchholz et al. 1992 (Ergonomics 35:261), relative to hand breadth
 # and length; x and the thumb's CMC are means of two calibrated MANUS gloves.
 _BASE_BREADTH = np.array([[0.167, 0.240], [0.043, 0.252], [0.0, 0.0], [0.043, -0.206], [0.097, -0.402]])
 _BASE_LENGTH = np.array([0.101, 0.447, 0.446, 0.409, 0.368])
-# Bones relative to hand length: Buchholz et al. 1992. The last ones reach the skin: base and bones of the
-# middle finger add up to one.
+# Bones relative to hand length: Buchholz et al. 1992. The last ones end at the skin: the middle finger's base
+# and bones add up to one.
 _BONE_LENGTH = np.array(
     [
         [0.251, 0.196, 0.158],
@@ -47,14 +47,14 @@ _BONE_LENGTH = np.array(
         [0.206, 0.117, 0.093],
     ]
 )
-# How far the planes in which the fingers bend converge towards the thumb, and the thumb is pronated: rounded
-# means of the fits to two glove recordings (GeoRT's and MANUS).
+# Convergence of the fingers' bending planes towards the thumb, and pronation of the thumb: rounded means of
+# fits to two glove recordings (GeoRT's and MANUS).
 _CONVERGENCE_DEG = np.array([0.0, 3.0, 6.0, 9.0, 9.0])
 _THUMB_TWIST_DEG = 10.0
-# Limits, deg, as (lower, upper) of abduction and three flexions. Flexions and the thumb: clinical norms, of
-# which active motion uses 30° of MCP hyperextension and a little beyond straight in the DIP. Finger
-# abduction: ranges of a MANUS recording (0.5th to 99.5th percentile), which exceed clinical spreads taken
-# with straight fingers.
+# Limits, deg, as (lower, upper) of abduction and three flexions. Flexions and the thumb: clinical norms,
+# limited to active motion, with 30° of MCP hyperextension and slight hyperextension of the DIP. Finger
+# abduction: ranges of a MANUS recording (0.5th to 99.5th percentile), which exceed clinical spreads of
+# straight fingers.
 _LIMITS_DEG = np.array(
     [
         [(-10, 60), (-25, 35), (-10, 60), (-15, 80)],
@@ -68,17 +68,17 @@ _LIMITS_DEG = np.array(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HumanHand:
-    """Kinematic model of one human hand: geometry and joint limits. Left hands are mirrored.
+    """Geometry and joint limits of one human hand. A left hand is represented by its mirror image.
 
-    Joints: finger by finger from the thumb, each with abduction and three flexions (`joint_names`).
+    Joints are ordered by finger from the thumb, each with abduction and three flexions (`joint_names`).
     Abduction is positive towards the index side (+y), for the thumb away from the palm (+x). Flexion is
-    positive when the finger bends. Angles in rad, lengths in m, points in the wrist frame H.
+    positive as the finger bends. Angles are in rad, lengths in m, points in the wrist frame H.
 
     Attributes:
         p_HB: (5, 3) the fingers' base points (thumb CMC, the other fingers' MCP).
-        R_HB: (5, 3, 3) orientation of the fingers' base frames.
-        twist: (5,) turn of the hinge axes about the first bone.
-        lengths: (5, 3) of the three bones of each finger, the last up to the tip of the pulp.
+        R_HB: (5, 3, 3) orientations of the fingers' base frames.
+        twist: (5,) rotation of the hinge axes about the first bone.
+        lengths: (5, 3) lengths of each finger's three bones, the last up to the tip of the pulp.
         lower, upper: (20,) joint limits.
     """
 
@@ -115,14 +115,14 @@ class HumanHand:
         return (self.R_HB @ p_BF[..., None])[..., 0] + self.p_HB
 
     def fingertip_jacobians(self, theta: np.ndarray) -> np.ndarray:
-        """Computes ∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip by the four joints of its own finger."""
+        """Computes ∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip's by the four joints of its finger."""
         theta = np.asarray(theta, dtype=float)
         z, x, y, sin_twist, bend = self._first_bone(theta)
         along, across = self._in_plane(bend)
         tip = along[..., None] * z + across[..., None] * x
         last = self.lengths[:, 2] * np.array([np.cos(bend[..., 1]), np.sin(bend[..., 1])])
         J = np.empty((*tip.shape, 4))
-        # Flexion turns about y of the base frame, abduction turns z towards y; the hinges turn
+        # Flexion rotates about y of the base frame, abduction rotates z towards y; the hinges rotate
         # z towards x.
         J[..., 0] = along[..., None] * y - (across * sin_twist)[..., None] * z
         J[..., 0, 1], J[..., 1, 1], J[..., 2, 1] = tip[..., 2], 0.0, -tip[..., 0]
@@ -139,12 +139,12 @@ class HumanHand:
     ) -> np.ndarray:
         """Finds joint angles (..., 20) within the limits that bring the tips nearest p_target (..., 5, 3), m.
 
-        Damped least squares with fixed damping, for each finger; redundant motion stays as in theta0.
+        Solves each finger by damped least squares with fixed damping; redundant motion stays as in theta0.
 
         Args:
-            p_target: targets of the tips, m.
-            theta0: (..., 20) angles to start from, rad.
-            weights: (5,) importance of each target; with 0 the finger stays at theta0.
+            p_target: targets of the tips in H, m.
+            theta0: (..., 20) initial angles, rad.
+            weights: (5,) weight of each target; a finger of weight 0 stays at theta0.
             iterations: number of steps.
         """
         theta = np.clip(np.asarray(theta0, dtype=float), self.lower, self.upper)
@@ -156,13 +156,13 @@ class HumanHand:
             J = weight[:, None, None] * self.fingertip_jacobians(theta)
             angles = theta.reshape(*theta.shape[:-1], 5, 4)
             free = np.ones_like(angles)
-            # A joint that would leave its range is fixed, so that the others compensate.
+            # A joint that would leave its range is fixed, and the others compensate.
             for _ in range(2):
                 Jf = J * free[..., None, :]
                 Jt = np.swapaxes(Jf, -1, -2)
                 step = (Jt @ np.linalg.solve(Jf @ Jt + damping, error[..., None]))[..., 0]
-                # Far targets and straight fingers give steps beyond the range of the derivative.
-                step /= np.maximum(np.abs(step).max(axis=-1, keepdims=True) / _LARGEST_STEP, 1.0)
+                # Far targets and straight fingers give steps for which the linearisation does not hold.
+                step /= np.maximum(np.abs(step).max(axis=-1, keepdims=True) / _MAX_STEP, 1.0)
                 moved = angles + step
                 free = free * ((moved >= lower) & (moved <= upper))
             theta = np.clip(moved, lower, upper).reshape(theta.shape)
@@ -190,9 +190,9 @@ class HumanHand:
     def fit(cls, recording: Recording) -> "HumanHand":
         """Fits a hand to the recorded person.
 
-        Palm and bone lengths are medians over the valid frames. In the base frames and twists, the recorded
-        fingers bend most nearly in a plane. Joint limits are the observed range (0.5th to 99.5th percentile)
-        widened by 2°.
+        Palm and bone lengths are medians over the valid frames. Base frames and twists minimise the recorded
+        bones' deviation from their bending planes. Joint limits are the observed ranges (0.5th to 99.5th
+        percentile) widened by 2°.
 
         Raises:
             RecordingError: fewer than ten valid frames.
@@ -201,8 +201,8 @@ class HumanHand:
         if len(p_HK) < 10:
             raise RecordingError(f"fitting a hand needs at least 10 valid frames, {len(p_HK)} given")
         directions = _bone_directions(p_HK)
-        some = directions[np.linspace(0, len(p_HK) - 1, min(len(p_HK), 400)).astype(int)]
-        frames = [_fit_base_frame(some[:, i], R) for i, R in enumerate(_nominal_base_frames())]
+        sample = directions[np.linspace(0, len(p_HK) - 1, min(len(p_HK), 400)).astype(int)]
+        frames = [_fit_base_frame(sample[:, i], R) for i, R in enumerate(_nominal_base_frames())]
         R_HB, twist = np.stack([R for R, _ in frames]), np.array([angle for _, angle in frames])
         theta = _angles(directions, R_HB, twist)
         margin = np.deg2rad(2.0)
@@ -216,8 +216,8 @@ class HumanHand:
         )
 
     def _first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """In B (..., 5, 3): first bone z, directions x of bending and y of abduction; sin of the twist (5,);
-        angles (..., 5, 2) of bones two and three to the first.
+        """Returns z, x, y, sin(twist) (5,), bend: unit vectors (..., 5, 3) in B of first bone, bending and
+        abduction; angles (..., 5, 2), rad, of the second and third bone to the first.
         """
         angles = theta.reshape(*theta.shape[:-1], 5, 4)
         x, y, z = _bone_axes(angles[..., 0], angles[..., 1], self.twist)
@@ -226,7 +226,7 @@ class HumanHand:
         return z, x, y, np.sin(self.twist), bend
 
     def _in_plane(self, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The tip's coordinates (..., 5) along the first bone and across it, in the bending plane."""
+        """Returns the tips' coordinates (..., 5), m, along and across the first bone in the bending plane."""
         first, middle, last = self.lengths.T
         c, s = np.cos(bend), np.sin(bend)
         along = first + (middle * c[..., 0] + last * c[..., 1])
@@ -240,27 +240,27 @@ def _nominal_base_frames() -> np.ndarray:
 
 
 def _bone_directions(p_HK: np.ndarray) -> np.ndarray:
-    """Unit vectors (..., 5, 3, 3) of the three bones of each finger."""
+    """Returns unit vectors (..., 5, 3, 3) along the three bones of each finger."""
     chain = p_HK[..., 1:, :].reshape(*p_HK.shape[:-2], 5, 4, 3)
     bones = np.diff(chain, axis=-2)
     return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
 
 
 def _angles(directions: np.ndarray, R_HB: np.ndarray, twist: np.ndarray) -> np.ndarray:
-    """Joint angles (..., 20) of bone directions (..., 5, 3, 3); what leaves the plane is ignored."""
+    """Computes joint angles (..., 20), rad, from bone directions (..., 5, 3, 3), projected to the plane."""
     first, middle, last = np.moveaxis(directions @ R_HB, -2, 0)
     abduction = np.arcsin(np.clip(first[..., 1], -1.0, 1.0))
     flexion = np.arctan2(first[..., 0], first[..., 2])
     x, _, _ = _bone_axes(abduction, flexion, twist)
     bends = [np.arctan2(np.sum(bone * x, -1), np.sum(bone * first, -1)) for bone in (middle, last)]
-    # The last hinge is measured from the middle bone; unwrapped, as a fist may pass 180°.
+    # The last hinge is measured from the middle bone, and wrapped because a fist may pass 180°.
     last_bend = (bends[1] - bends[0] + np.pi) % (2 * np.pi) - np.pi
     theta = np.stack([abduction, flexion, bends[0], last_bend], axis=-1)
     return theta.reshape(*theta.shape[:-2], 20)
 
 
 def _bone_axes(abduction: np.ndarray, flexion: np.ndarray, twist: np.ndarray) -> tuple[np.ndarray, ...]:
-    """In B (..., 3): the directions x of bending and y of abduction, and the first bone z."""
+    """Returns unit vectors (..., 3) in B: direction x of bending, y of abduction, and the first bone z."""
     ca, sa, cf, sf = np.cos(abduction), np.sin(abduction), np.cos(flexion), np.sin(flexion)
     x, y, z = np.empty((3, *ca.shape, 3))
     x[..., 0], x[..., 1], x[..., 2] = cf, 0.0, -sf
@@ -270,10 +270,10 @@ def _bone_axes(abduction: np.ndarray, flexion: np.ndarray, twist: np.ndarray) ->
 
 
 def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.ndarray, float]:
-    """Base frame and twist for which the bones directions (T, 3, 3) of a finger bend in a plane."""
+    """Fits the base frame R_HB and twist, rad, in which bone directions (T, 3, 3) best bend in a plane."""
 
     def frame(parameters: np.ndarray) -> np.ndarray:
-        # Turning about y alone would only shift the zero of flexion.
+        # A rotation about y would only shift the zero of flexion.
         turn = np.array([parameters[0], 0.0, parameters[1]])
         return R_nominal @ Rotation.from_rotvec(turn).as_matrix()
 
@@ -283,7 +283,7 @@ def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.n
             np.arcsin(np.clip(first[:, 1], -1, 1)), np.arctan2(first[:, 0], first[:, 2]), parameters[2]
         )
         normal = np.cross(first, x)
-        # A weak regularisation to the nominal frame determines what the recording does not.
+        # A weak regularisation towards the nominal frame determines what the recording does not.
         return np.concatenate(
             [np.sum(middle * normal, -1), np.sum(last * normal, -1), 0.3 * np.sqrt(len(first)) * parameters]
         )

@@ -1,11 +1,11 @@
-"""The 21 keypoints of a human hand and the wrist frame H they are described in.
+"""The 21 keypoints of a human hand and the wrist frame H in which they are expressed.
 
 Keypoints are numbered as in MediaPipe: wrist 0, thumb 1–4 (CMC, MCP, IP, tip),
 then index 5–8, middle 9–12, ring 13–16 and little finger 17–20 (MCP, PIP, DIP, tip).
 
 Frame H has its origin at the wrist. Its z axis points to the middle finger's MCP joint, y from the ring
-towards the index MCP joint (made orthogonal to z), and x = y × z out of the palm. A left hand is stored as
-its mirror image (y negated), so the thumb is on +y and fingers flex towards +x for both sides.
+to the index MCP joint (made orthogonal to z), and x = y × z out of the palm. A left hand is stored as its
+mirror image (y negated), so for both sides the thumb is on the +y side and fingers flex towards +x.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ FINGER_KEYPOINTS: dict[str, tuple[int, int, int, int]] = {
 TIP_KEYPOINT: dict[str, int] = {name: keypoints[-1] for name, keypoints in FINGER_KEYPOINTS.items()}
 BASE_KEYPOINT: dict[str, int] = {name: keypoints[0] for name, keypoints in FINGER_KEYPOINTS.items()}
 
-# (parent, child), finger by finger from the wrist to the tip.
+# (parent, child), by finger, from the wrist to the tip.
 BONES: list[tuple[int, int]] = [
     bone
     for keypoints in FINGER_KEYPOINTS.values()
@@ -37,8 +37,8 @@ def wrist_pose(p_WK: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p_WK: (..., 21, 3) keypoints of a right hand (or a mirrored left one) in any frame W, m.
 
     Returns:
-        R_WH (..., 3, 3) and p_WH (..., 3), m. NaN where the
-        wrist and the index, middle and ring knuckles do not span a plane.
+        R_WH (..., 3, 3) and p_WH (..., 3), m. R_WH is NaN where the wrist and the index, middle and ring
+        knuckles do not span a plane.
     """
     p_WK = np.asarray(p_WK, dtype=float)
     p_WH = p_WK[..., WRIST, :]
@@ -58,7 +58,7 @@ def to_wrist_frame(p_WK: np.ndarray) -> np.ndarray:
 
 
 def mirrored(p: np.ndarray) -> np.ndarray:
-    """Mirrors points p (..., 3) by negating y, as left hands are stored."""
+    """Mirrors points p (..., 3) by negating y; left hands are stored this way."""
     return np.asarray(p) * np.array([1.0, -1.0, 1.0])
 
 

@@ -1,9 +1,9 @@
-"""Synthetic play: five minutes of the hand motion that training needs, made from a seed.
+"""Synthesizes play from a seed: five minutes of the hand motion that training needs.
 
-The hand sweeps every finger through its range, waves, makes fists, spreads, and pinches the thumb to each
-finger at varied places: minimum-jerk movements between postures (Flash & Hogan 1985, J. Neurosci. 5:1688),
-with a glove's jitter and slow drift. Workspace, speed and pinches of the fingertips lie between those of
-two recordings of real gloves; `tests/test_people_play.py` has the figures.
+The hand sweeps each finger through its range, waves, makes fists, spreads, and pinches the thumb to each
+finger in varied places. Movements have minimum jerk (Flash & Hogan 1985, J. Neurosci. 5:1688), with a glove's
+jitter and slow drift. Workspace, speed and pinches of the fingertips lie between those of two recordings of
+real gloves; `tests/test_people_play.py` has the figures.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,19 +15,19 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import SIDES, Recording
 
-# Angles below are in degrees, joint by joint as in HumanHand: abduction and three flexions.
+# Angles below are in degrees; each finger has abduction and three flexions, as in HumanHand.
 _FIST = np.array(
     [[30, 15, 40, 45], [0, 76, 92, 56], [0, 78, 94, 56], [0, 74, 92, 56], [0, 66, 90, 54]], float
 )
 FLAT = np.array([[10, -15, 0, 0], [4, -10, 2, 1], [0, -8, 2, 1], [-3, -8, 2, 1], [-8, -8, 2, 1]], float)
-# A pinch starts here and is closed by inverse kinematics: (lower, upper) of thumb and finger.
+# Ranges (lower, upper) of the posture from which inverse kinematics closes a pinch.
 _PINCH_THUMB = ((10, -5, 5, 5), (40, 30, 45, 60))
 _PINCH_FINGER = ((-10, 10, 20, 10), (5, 70, 80, 50))
 
 _THUMB = 0
-# How far each finger is swept sideways while it is straight.
+# Range of abduction of each straight finger in sweeps.
 _ABDUCTION = ((-5, 40), (-18, 18), (-17, 13), (-17, 14), (-28, 12))
-_RATIO = (0.4, 0.85)  # DIP over PIP flexion: textbook 2/3, gloves show this range
+_DIP_OVER_PIP = (0.4, 0.85)  # ratio of flexions; the textbook says 2/3, gloves show this range
 _TIP_GAP_M = (0.001, 0.010)  # between the tips while pinching: glove tips lie under the skin
 _JITTER_DEG = 0.03  # per frame: about 0.05 mm at a fingertip
 _TREMOR_DEG = 0.05  # 8–12 Hz, about 0.1 mm at a fingertip (Riviere 1997: 0.05–0.13 mm)
@@ -49,9 +49,9 @@ def synthesize_play(
         seed: seed or generator.
         duration_s: length of the recording, s.
         rate_hz: frames per second; the default is that of common gloves.
-        hand: by default an average adult's. Pinches it cannot reach are left out.
+        hand: model of the hand, by default an average adult's. Pinches that it cannot reach are left out.
         jitter: scale of jitter, tremor and drift.
-        side: of the hand; a left one is described by its mirror image, so the keypoints are the same.
+        side: side of the hand; a left hand is stored as its mirror image, so the keypoints are the same.
 
     Raises:
         UnknownNameError: there is no such side.
@@ -71,10 +71,10 @@ def record(
     rng: np.random.Generator,
     metadata: dict,
 ) -> Recording:
-    """The recording of the hand that follows a timeline, with a glove's noise; metadata: source, seed.
+    """Records a hand that follows a timeline, with a glove's noise; metadata must have source and seed.
 
     Raises:
-        UnknownNameError, ValueError: see `synthesize_play`.
+        UnknownNameError, ValueError: as `synthesize_play` does.
     """
     if (side := metadata.get("side", "right")) not in SIDES:
         raise UnknownNameError("side", side, SIDES)
@@ -91,17 +91,17 @@ def record(
 
 
 def frame_count(duration_s: float, rate_hz: float) -> int:
-    """Number of frames of a recording, at least two."""
+    """Returns the number of frames of a recording, at least two."""
     return max(2, round(duration_s * rate_hz))
 
 
 class Timeline:
-    """Postures and the times at which they are reached.
+    """A sequence of postures and the times at which the hand reaches them.
 
     Attributes:
-        hand: whose postures they are.
-        times: s.
-        postures: (20,) rad each, within the hand's limits.
+        hand: the moving hand.
+        times: time of each posture, s.
+        postures: joint angles (20,) of each, rad, within the hand's limits.
     """
 
     def __init__(self, hand: HumanHand, start: np.ndarray):
@@ -110,12 +110,12 @@ class Timeline:
         self.postures = [self._within(start)]
 
     def move(self, theta: np.ndarray, duration_s: float) -> None:
-        """Reaches theta, (20,) rad or (5, 4), after `duration_s`."""
+        """Appends a movement of `duration_s` to theta, (20,) or (5, 4), rad."""
         self.times.append(self.times[-1] + duration_s)
         self.postures.append(self._within(theta))
 
     def hold(self, duration_s: float) -> None:
-        """Stays in the last posture."""
+        """Appends a rest of `duration_s` in the last posture."""
         self.times.append(self.times[-1] + duration_s)
         self.postures.append(self.postures[-1])
 
@@ -139,11 +139,11 @@ def _play(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> Timel
 
 
 def sweep(timeline: Timeline, finger: int, rng: np.random.Generator) -> None:
-    """Moves one finger through its range: abducting at several flexions, then anywhere."""
+    """Moves one finger through its range: abduction at several flexions, then random postures."""
     rest = resting(rng)
-    targets = [*_abduction_sweeps(finger, rng), *(_anywhere(finger, rng) for _ in range(5))]
+    targets = [*_abduction_sweeps(finger, rng), *(_random_posture(finger, rng) for _ in range(5))]
     for target in targets:
-        theta = _around(rest, 9.0, rng)  # resting fingers move slightly
+        theta = _perturbed(rest, 9.0, rng)  # resting fingers move slightly
         theta[finger] = target
         if finger != _THUMB:
             # Neighbours follow by a fifth (Zatsiorsky et al. 2000, Exp. Brain Res. 131:187).
@@ -156,43 +156,43 @@ def sweep(timeline: Timeline, finger: int, rng: np.random.Generator) -> None:
 
 def _abduction_sweeps(finger: int, rng: np.random.Generator) -> Iterable[np.ndarray]:
     for level in rng.permutation(3):
-        target = _anywhere(finger, rng)
+        target = _random_posture(finger, rng)
         if finger == _THUMB:
             target[1] = (-14, 3, 20)[level] + rng.uniform(-5, 5)
             share = 1.0
         else:
             target[1] = (-20, 20, 60)[level] + rng.uniform(-12, 12)
-            share = _freedom(target[1])
+            share = _abduction_fraction(target[1])
         for abduction in rng.permutation(_ABDUCTION[finger]):
             yield np.array([share * abduction * rng.uniform(0.6, 1.0), *target[1:]])
 
 
-def _anywhere(finger: int, rng: np.random.Generator) -> np.ndarray:
+def _random_posture(finger: int, rng: np.random.Generator) -> np.ndarray:
     if finger == _THUMB:
         return rng.uniform((-5, -18, -5, -10), (40, 22, 38, 60))
     proximal = rng.uniform(-28, 82)
-    # A hook, outer joints bent and the knuckle far back, is rare.
+    # Hooks, with bent outer joints and the knuckle far back, are rare.
     middle = 98 * rng.beta(0.55, 0.65)
     low, high = _ABDUCTION[finger]
-    abduction = _freedom(proximal) * rng.uniform(low, high)
-    return np.array([abduction, proximal, middle, rng.uniform(*_RATIO) * middle])
+    abduction = _abduction_fraction(proximal) * rng.uniform(low, high)
+    return np.array([abduction, proximal, middle, rng.uniform(*_DIP_OVER_PIP) * middle])
 
 
-def _freedom(flexion_deg: float) -> float:
-    """Fraction of its abduction that a knuckle keeps; flexion tightens its ligaments."""
+def _abduction_fraction(flexion_deg: float) -> float:
+    """Returns the fraction of a knuckle's abduction that is left; flexion tightens its ligaments."""
     return 1.0 - 0.8 * np.clip(flexion_deg / 90, 0.0, 1.0)
 
 
 def fists(timeline: Timeline, rng: np.random.Generator) -> None:
-    """Closes and stretches all fingers, twice."""
+    """Closes and stretches all fingers twice."""
     for _ in range(2):
-        timeline.move(np.deg2rad(_around(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
+        timeline.move(np.deg2rad(_perturbed(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
         timeline.hold(rng.uniform(0.1, 0.3))
-        timeline.move(np.deg2rad(_around(FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
+        timeline.move(np.deg2rad(_perturbed(FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
 
 
 def spread(timeline: Timeline, rng: np.random.Generator) -> None:
-    """Spreads and closes all fingers, at several flexions."""
+    """Spreads and closes all fingers at several flexions."""
     for flexion in rng.permutation([-15.0, 10.0, 40.0]):
         for share in (1.0, -0.6):
             theta = FLAT + rng.uniform(0.0, 0.25) * (_FIST - FLAT)
@@ -204,7 +204,7 @@ def spread(timeline: Timeline, rng: np.random.Generator) -> None:
 
 def wave(timeline: Timeline, rng: np.random.Generator) -> None:
     """Runs a wave of flexion from finger to finger, back and forth."""
-    start = _around(FLAT, 4.0, rng)
+    start = _perturbed(FLAT, 4.0, rng)
     depth = rng.uniform(0.5, 1.0)
     for step in range(12):
         phase = 2 * np.pi * (step / 6 - np.arange(5) / 6)
@@ -213,7 +213,7 @@ def wave(timeline: Timeline, rng: np.random.Generator) -> None:
 
 
 def pinch(timeline: Timeline, finger: int, postures: np.ndarray, rng: np.random.Generator) -> None:
-    """Approaches, touches, slides along while touching, and lets go."""
+    """Lets thumb and finger approach, touch, slide along each other and part, for each pair of postures."""
     for touch, slide in postures:
         opened = np.zeros((5, 4))
         opened[_THUMB, 1:] = np.deg2rad(rng.uniform(8, 25, 3))
@@ -227,27 +227,27 @@ def pinch(timeline: Timeline, finger: int, postures: np.ndarray, rng: np.random.
 
 
 def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator) -> np.ndarray:
-    """Up to two pairs (n, 2, 20) of postures in which thumb and finger touch, the second slid along."""
+    """Finds up to two pairs (n, 2, 20), rad, of postures in which thumb and finger touch, then have slid."""
     tries = 8
     theta = np.deg2rad(np.stack([resting(rng) for _ in range(tries)]))
     for i, (low, high) in ((_THUMB, _PINCH_THUMB), (finger, _PINCH_FINGER)):
         theta[:, i] = np.deg2rad(rng.uniform(low, high, (tries, 4)))
     gap = rng.uniform(*_TIP_GAP_M, tries)
-    touch, near = _close(hand, finger, theta.reshape(tries, 20), np.zeros(3), gap)
+    touch, near = _close_pinch(hand, finger, theta.reshape(tries, 20), np.zeros(3), gap)
     # The other fingers keep moving.
-    onward = rng.normal(0.0, np.deg2rad(10.0), (tries, 5, 4)) * np.array([0.4, 1.0, 1.0, 1.0])
-    onward[:, [_THUMB, finger]] = 0.0
-    slide, still_near = _close(
-        hand, finger, touch + onward.reshape(tries, 20), rng.normal(0.0, 0.008, (tries, 3)), gap
+    other_motion = rng.normal(0.0, np.deg2rad(10.0), (tries, 5, 4)) * np.array([0.4, 1.0, 1.0, 1.0])
+    other_motion[:, [_THUMB, finger]] = 0.0
+    slide, still_near = _close_pinch(
+        hand, finger, touch + other_motion.reshape(tries, 20), rng.normal(0.0, 0.008, (tries, 3)), gap
     )
     kept = np.flatnonzero(near & still_near)[:2]
     return np.stack([touch[kept], slide[kept]], axis=1)
 
 
-def _close(
+def _close_pinch(
     hand: HumanHand, finger: int, theta: np.ndarray, shift: np.ndarray, gap: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Brings thumb and finger to `gap` about their shifted midpoint; also returns whether they reach it."""
+    """Closes the tips to `gap`, m, about their midpoint plus `shift`, m; returns theta and success (n,)."""
     theta = np.clip(theta, hand.lower, hand.upper)
     p_HF = hand.fingertips(theta)
     middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger]) + shift
@@ -258,7 +258,7 @@ def _close(
         apart *= (0.5 * gap / np.maximum(np.linalg.norm(apart, axis=1), 1e-6))[:, None]
         p_HF[:, _THUMB], p_HF[:, finger] = middle - apart, middle + apart
         theta = hand.solve_fingertips(p_HF, theta, weights, iterations=3)
-        # If one of the two cannot follow, the other one moves to it.
+        # If one of the two cannot follow, the other moves to it.
         p_HF = hand.fingertips(theta)
         middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger])
     reached = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001
@@ -266,7 +266,7 @@ def _close(
 
 
 def _minimum_jerk(t: np.ndarray, times: np.ndarray, postures: np.ndarray) -> np.ndarray:
-    """Postures (T, 20) at times t: minimum-jerk movements from each posture to the next."""
+    """Interpolates postures (T, 20) at times t by minimum-jerk movements."""
     i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     s = ((t - times[i]) / (times[i + 1] - times[i]).clip(1e-9)).clip(0.0, 1.0)
     share = s**3 * (10 - 15 * s + 6 * s**2)
@@ -274,15 +274,15 @@ def _minimum_jerk(t: np.ndarray, times: np.ndarray, postures: np.ndarray) -> np.
 
 
 def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:
-    """Jitter, tremor and drift of the joint angles (frames, 20), rad."""
+    """Draws jitter, tremor and drift of the joint angles (frames, 20), rad."""
     jitter = rng.normal(size=(frames, 20))
-    # Band-limited to 8–12 Hz in the frequency domain; a recording too slow for it has none.
+    # Band-limited to 8–12 Hz in the frequency domain; a recording whose rate is too low has none.
     frequency = np.fft.rfftfreq(frames, 1 / rate_hz)
     band = (frequency > 8) & (frequency < 12)
     tremor = np.fft.irfft(
         np.fft.rfft(rng.normal(size=(frames, 20)), axis=0) * band[:, None], n=frames, axis=0
     )
-    # One value per second is enough of a drift that takes eight.
+    # One value per second is enough for a drift that takes eight.
     seconds = np.arange(frames) / rate_hz
     knots = np.arange(0.0, seconds[-1] + 4 * _DRIFT_TIME_S)
     slow = gaussian_filter1d(rng.normal(size=(len(knots), 20)), _DRIFT_TIME_S, axis=0, mode="wrap")
@@ -294,12 +294,12 @@ def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.nd
 
 
 def resting(rng: np.random.Generator) -> np.ndarray:
-    """A posture (5, 4), deg, of resting fingers, each somewhat open or closed."""
+    """Draws a posture (5, 4), deg, of resting fingers, each somewhat open or closed."""
     knuckles, beyond = rng.uniform(0.0, 0.6, 5), rng.uniform(0.0, 0.8, 5) ** 1.5
     share = np.column_stack([knuckles, knuckles, beyond, beyond])
-    return _around(FLAT + share * (_FIST - FLAT), 5.0, rng)
+    return _perturbed(FLAT + share * (_FIST - FLAT), 5.0, rng)
 
 
-def _around(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:
+def _perturbed(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:
     # Fingers vary less sideways than they flex.
     return posture + rng.normal(0.0, deviation_deg, posture.shape) * np.array([0.4, 1.0, 1.0, 1.0])

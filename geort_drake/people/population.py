@@ -1,9 +1,9 @@
-"""A population of synthetic people: hands from published anthropometry, habits, and measuring devices.
+"""Samples synthetic people: hands from published anthropometry, habits of motion, and measuring devices.
 
 The population's seed and a number determine a person. The constants are distributions; comments give the
-source of each, or call it an assumption; those of gloves and cameras are in `device`. No spread is fitted to
+source of each, or call it an assumption. Those of gloves and cameras are in `device`. No spread is fitted to
 a recording, but some figures of the average hand and its play come from two gloves (see `human_hand` and
-`play`). Hands that the checks of recordings would refuse are not in the population.
+`play`). The population contains no hand that the checks of recordings would refuse.
 """
 
 import copy
@@ -24,7 +24,7 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.people.recording import Recording
 from geort_drake.processes import end_with, usable_cores
 
-# Hands. Length, and breadth over length, of men and women in equal shares: ANSUR II (Gordon et al. 2014,
+# Hands. Length, and breadth over length, for equal shares of men and women: ANSUR II (Gordon et al. 2014,
 # NATICK/TR-15/007), rounded.
 _LENGTH_M = ((0.193, 0.010), (0.180, 0.009))  # mean and deviation, as below
 _BREADTH = (0.447, 0.025)
@@ -34,29 +34,29 @@ _UNUSUAL_SHARE, _UNUSUAL_LENGTH_M = 0.10, (0.14, 0.22)
 # variance of bones; length and breadth explain 30 to 96 % of that of the knuckles' positions (Buchholz,
 # Armstrong & Goldstein 1992, Ergonomics 35:261).
 _FINGER_SPREAD, _BONE_SPREAD, _PALM_SPREAD = 0.06, 0.05, 0.05
-# Deviations of the ends of the joints' ranges: knuckles bend back by 0° to 45° (norms of the Electronic
-# Textbook of Hand Surgery); all others are an assumption, as are those of the directions of the axes.
+# Deviations of the joint limits: knuckles bend back by 0° to 45° (norms of the Electronic Textbook of Hand
+# Surgery); all others are assumptions, as are the deviations of the joint axes.
 _KNUCKLES_BACK_DEG, _RANGE_DEG, _AXIS_DEG = 11.0, 7.0, 5.0
 
 # Motion. Assumption: most people use most of their range.
 _AMPLITUDE, _AMPLITUDE_BOUNDS = (0.95, 0.12), (0.5, 1.1)
-# Small movers: everyday tasks take 48 to 60 % of the active range (Bain et al. 2015, J. Hand Surg. Eur.
-# 40:406). The shares of these and of all other kinds of people are assumptions.
+# "small": everyday tasks take 48 to 60 % of the active range (Bain et al. 2015, J. Hand Surg. Eur. 40:406).
+# The shares of all kinds of people are assumptions.
 _STYLES = {"full": 0.55, "small": 0.25, "uneven": 0.20}
 _SMALL, _UNEVEN = (0.3, 0.9), (0.35, 1.0)
 _FEW_FINGERS_SHARE = 0.12
-_FOLLOWING = 0.3  # fraction of their movements that idle fingers keep, because other fingers pull them
+_IDLE_AMPLITUDE = 0.3  # factor on the amplitude of idle fingers, which others pull along
 _NO_PINCH_SHARE, _PINCHED_SHARE = 0.05, 0.93
 _GESTURE_SHARE = 0.8
 _STOPPING_SHARE, _STOP_AFTER = 0.08, (0.2, 0.8)
-# Durations of movements, times those of `play`, whose sweeps take 0.27 s each: the fastest people tap with
-# 0.27 s for down and up (Hammerschmidt et al. 2021, Front. Psychol. 12:677201). Assumption: the slow end,
-# and a uniform distribution of the logarithm.
+# Factor on the durations of `play`, whose sweeps take 0.27 s each: the fastest people tap down and up within
+# 0.27 s (Hammerschmidt et al. 2021, Front. Psychol. 12:677201). Assumption: the slow end, and a log-uniform
+# distribution.
 _PACE = (0.5, 2.0)
 
 _AVERAGE = HumanHand.anatomical()
 _GESTURES = {gesture.__name__: gesture for gesture in (play.fists, play.spread, play.wave)}
-_MIN_SHARED = 32  # people; fewer do not justify starting processes
+_MIN_PARALLEL = 32  # people; for fewer, starting processes does not pay off
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,16 +64,16 @@ class Person:
     """A person of the population.
 
     Attributes:
-        seed, number: of the population, and of the person in it.
-        device: that measures the person.
-        hand: as the device shows it. Pinches close in this hand, not in the true one.
+        seed, number: seed of the population, and the person's number in it.
+        device: device that measures the person.
+        hand: the hand as the device shows it. Pinches close in this hand, not in the true one.
         style: "full", "small" (all movements are small) or "uneven" (those of some fingers are).
-        rest: (20,) rad, posture about which the person moves.
-        amplitude: (5,) of each finger's free movements, as a fraction of the hand's range.
-        pace: durations of movements, times those of `synthesize_play`.
-        fingers: that are moved on purpose, 0 to 4 from the thumb.
+        rest: (20,) posture about which the person moves, rad.
+        amplitude: (5,) amplitude of each finger's free movements, as a fraction of the hand's range.
+        pace: factor on the durations of movements in `synthesize_play`.
+        fingers: fingers that are moved on purpose, 0 to 4 from the thumb.
         pinched: fingers that pinch with the thumb.
-        gestures: of the whole hand, by name.
+        gestures: names of the whole-hand gestures that the person makes.
         mix: (3,) probabilities of pinches, sweeps of a finger, and gestures.
         stops_after: fraction of a recording after which the hand rests; 1 for most people.
     """
@@ -96,9 +96,9 @@ class Person:
         """Makes a recording of the person's play; the same arguments give the same recording.
 
         Args:
-            duration_s: length, s.
+            duration_s: length of the recording, s.
             rate_hz: frames per second, by default the device's.
-            side: of the hand; a left one is described by its mirror image, so the keypoints are the same.
+            side: side of the hand; a left hand is stored as its mirror image, so the keypoints are the same.
 
         Raises:
             UnknownNameError: there is no such side.
@@ -137,24 +137,24 @@ class _PersonalTimeline(play.Timeline):
         self.exact = np.zeros((5, 1), bool)
 
     def touching(self, finger: int) -> "_PersonalTimeline":
-        """The same timeline, but with full movements of thumb and finger."""
+        """Returns a view of the timeline in which thumb and finger make full movements."""
         view = copy.copy(self)
         view.exact = np.isin(np.arange(5), (0, finger))[:, None]
         return view
 
     def move(self, theta: np.ndarray, duration_s: float) -> None:
         theta, rest = np.reshape(theta, (5, 4)), self.person.rest.reshape(5, 4)
-        own = _in_range_of(self.person.hand, theta.ravel()).reshape(5, 4)
-        free = rest + self.person.amplitude[:, None] * (own - rest)
+        scaled = _scaled_to_range(self.person.hand, theta.ravel()).reshape(5, 4)
+        free = rest + self.person.amplitude[:, None] * (scaled - rest)
         super().move(np.where(self.exact, theta, free), self.person.pace * duration_s)
 
 
 def sample_person(seed: int, number: int = 0) -> Person:
     """Returns person `number` of the population with this seed."""
     rng = np.random.default_rng([seed, number])
-    device, hand, rest = _sample_equipped(rng)
+    device, hand, rest = _sample_measured_hand(rng)
     while not _readable(device, hand, rest, rng):
-        device, hand, rest = _sample_equipped(rng)
+        device, hand, rest = _sample_measured_hand(rng)
     style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
     amplitude = np.full(5, np.clip(rng.normal(*_AMPLITUDE), *_AMPLITUDE_BOUNDS))
     if style == "small":
@@ -165,7 +165,7 @@ def sample_person(seed: int, number: int = 0) -> Person:
     if rng.random() < _FEW_FINGERS_SHARE:
         others = rng.choice(np.arange(1, 5), rng.integers(1, 4), replace=False)
         fingers = (0, *sorted(int(finger) for finger in others))
-        amplitude[~np.isin(np.arange(5), fingers)] *= _FOLLOWING
+        amplitude[~np.isin(np.arange(5), fingers)] *= _IDLE_AMPLITUDE
     pinches = rng.random() >= _NO_PINCH_SHARE
     gestures = tuple(name for name in _GESTURES if rng.random() < _GESTURE_SHARE)
     pinched = tuple(f for f in fingers if f and pinches and rng.random() < _PINCHED_SHARE)
@@ -199,11 +199,11 @@ def sample_population(
 
     Args:
         count: number of people.
-        seed: of the population. The first people of a larger one are the same.
-        duration_s: of play by each, s.
-        rate_hz: frames per second of all.
+        seed: seed of the population. A larger one begins with the same people.
+        duration_s: duration of each person's play, s.
+        rate_hz: frames per second.
         processes: number of processes, without effect on the result; by default one per core, or only this
-            one for few people.
+            process for few people.
 
     Returns:
         Keypoints p_HK (count, frames, 21, 3) float32, m, in each frame's wrist frame H.
@@ -214,7 +214,7 @@ def sample_population(
     if count < 1 or duration_s <= 0 or rate_hz <= 0:
         raise ValueError("count, duration_s and rate_hz must be positive")
     if processes is None:
-        processes = usable_cores() if count >= _MIN_SHARED else 1
+        processes = usable_cores() if count >= _MIN_PARALLEL else 1
     keypoints = partial(_keypoints, seed, duration_s, rate_hz)
     one = np.dtype((np.float32, (play.frame_count(duration_s, rate_hz), KEYPOINT_COUNT, 3)))
     if processes == 1:
@@ -228,11 +228,11 @@ def _keypoints(seed: int, duration_s: float, rate_hz: float, number: int) -> np.
     return sample_person(seed, number).record(duration_s, rate_hz).p_HK
 
 
-def _sample_equipped(rng: np.random.Generator) -> tuple[Device, HumanHand, np.ndarray]:
-    """A device, the hand that it shows, and how that hand rests: (20,) rad."""
+def _sample_measured_hand(rng: np.random.Generator) -> tuple[Device, HumanHand, np.ndarray]:
+    """Draws a device, the hand that it shows, and the rest posture (20,) of that hand, rad."""
     device = Device.sample(rng)
     hand = device.shown(_sample_hand(rng))
-    return device, hand, _in_range_of(hand, np.deg2rad(play.resting(rng)).ravel())
+    return device, hand, _scaled_to_range(hand, np.deg2rad(play.resting(rng)).ravel())
 
 
 def _readable(device: Device, hand: HumanHand, rest: np.ndarray, rng: np.random.Generator) -> bool:
@@ -265,7 +265,7 @@ def _sample_hand(rng: np.random.Generator) -> HumanHand:
     )
 
 
-def _in_range_of(hand: HumanHand, theta: np.ndarray) -> np.ndarray:
-    """Joint angles (20,), rad, of the average hand, mapped to the same fraction of this hand's ranges."""
+def _scaled_to_range(hand: HumanHand, theta: np.ndarray) -> np.ndarray:
+    """Maps joint angles (20,), rad, of the average hand to the same fractions of this hand's ranges."""
     share = (theta - _AVERAGE.lower) / (_AVERAGE.upper - _AVERAGE.lower)
     return hand.lower + share * (hand.upper - hand.lower)

@@ -1,7 +1,7 @@
 """The capture protocol: five minutes of motion for a person to record, demonstrated by a synthetic hand.
 
-Training needs each fingertip everywhere it can go, and pinches with every finger in many places. Free play
-lacks some of these motions. `coverage` measures how many of them a recording contains.
+Training needs each fingertip throughout its workspace, and pinches with every finger in many places. Free
+play lacks some of these motions. `coverage` measures how many of them a recording contains.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,7 @@ Gesture = Callable[[Timeline, np.random.Generator], None]
 class Step(NamedTuple):
     """One step of the protocol: instruction, duration, and the synthetic hand's gesture.
 
-    The gesture is repeated until the time is up.
+    The synthetic hand repeats the gesture until the time is up.
     """
 
     name: str
@@ -34,7 +34,7 @@ def _flat(timeline: Timeline, rng: np.random.Generator) -> None:
     timeline.hold(1.0)
 
 
-def _alone(finger: int) -> Gesture:
+def _sweep_of(finger: int) -> Gesture:
     return lambda timeline, rng: sweep(timeline, finger, rng)
 
 
@@ -47,7 +47,7 @@ def _pinch_with(finger: int) -> Gesture:
 
 
 _FINGERS = tuple(enumerate(FINGER_NAMES))[1:]
-_ALONE = "Move the {} finger sideways when stretched, half bent and bent; then move it anywhere."
+_SWEEP = "Move the {} finger sideways when stretched, half bent and bent; then move it anywhere."
 _PINCH = "Pinch thumb and {} finger, slide the tips along each other, let go. Vary the place."
 _FISTS = "Make a fist, then stretch all fingers fully. Repeat."
 _SPREAD = "Spread and close the fingers, first with a flat hand, then with knuckles half bent."
@@ -58,8 +58,8 @@ STEPS = (
     Step("fists", _FISTS, 20, fists),
     Step("spread", _SPREAD, 20, spread),
     Step("wave", "Bend the fingers in a wave from little finger to thumb and back.", 15, wave),
-    Step("thumb alone", _THUMB, 30, _alone(0)),
-    *(Step(f"{name} alone", _ALONE.format(name), 20, _alone(i)) for i, name in _FINGERS),
+    Step("thumb alone", _THUMB, 30, _sweep_of(0)),
+    *(Step(f"{name} alone", _SWEEP.format(name), 20, _sweep_of(i)) for i, name in _FINGERS),
     *(Step(f"thumb to {name}", _PINCH.format(name), 30, _pinch_with(i)) for i, name in _FINGERS),
     Step("your task", _TASK, 10, wave),
 )
@@ -79,13 +79,13 @@ def demonstrate(
     """
     rng = np.random.default_rng(seed)
     timeline = Timeline(hand or HumanHand.anatomical(), np.deg2rad(FLAT))
-    begins, end = [], 0.0
+    starts, end = [], 0.0
     for step in STEPS:
-        begins.append(timeline.times[-1])
+        starts.append(timeline.times[-1])
         end += step.seconds
-        # A gesture that takes longer shortens the next step, so that the total duration stays.
+        # A gesture that takes longer shortens the next step, so that the total duration stays the same.
         while timeline.times[-1] < end:
             step.gesture(timeline, rng)
     recording = record(timeline, DURATION_S, rate_hz, jitter, rng, {"source": __name__, "seed": seed})
-    rows = np.searchsorted(begins, recording.t, side="right") - 1
+    rows = np.searchsorted(starts, recording.t, side="right") - 1
     return recording, [STEPS[row].name for row in rows]

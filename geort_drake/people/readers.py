@@ -1,4 +1,4 @@
-"""Reads recordings in any known format, brings them to the wrist frame and checks them.
+"""Reads recordings in any known format, transforms them to the wrist frame and checks them.
 
 Faults that can be repaired without guessing are repaired and reported; unusable frames become invalid. A
 file is refused only if its meaning is ambiguous or too little of it is usable.
@@ -27,8 +27,8 @@ from geort_drake.people.repairs import repaired_poses, repaired_times
 # agree with gloves whose rate is known.
 ASSUMED_RATE_HZ = 30.0
 
-_ONE_PLACE_M = 1e-6  # a frame whose keypoints are all this near to each other shows no hand
-_UNIX_S = 1e8  # times beyond this, in 1973, count from 1970; others from the start of the device
+_COINCIDENT_M = 1e-6  # a frame whose keypoints are all this close together shows no hand
+_MIN_UNIX_TIME_S = 1e8  # in 1973; later times are Unix times, smaller ones count from the device's start
 
 
 def read_recording(
@@ -43,11 +43,11 @@ def read_recording(
 
     Args:
         path: a file, or HO-3D's folder `meta`.
-        side: "right" or "left"; a left hand is mirrored (see `keypoints`). A side that the file states must
-            agree.
-        training: also require 300 valid frames and at least one pinch.
+        side: "right" or "left"; a left hand is mirrored (see `keypoints`). It must agree with the side that
+            the file states, if any.
+        training: also requires 300 valid frames and at least one pinch.
         format: a name of `FORMATS`; "auto" detects it from the contents.
-        unit: of lengths in the file, one of `UNITS_M`; by default the format's.
+        unit: unit of lengths in the file, one of `UNITS_M`; by default the format's.
         rate_hz: frames per second of a file without timestamps; by default `ASSUMED_RATE_HZ`.
 
     Returns:
@@ -74,20 +74,20 @@ def open_recording(
     """Reads and repairs a recording without checking it; arguments and errors are those of `read_recording`.
 
     Returns:
-        The recording, with the format in `metadata["format"]`, and faults and repairs; an error among them
-        where too many frames are lost.
+        The recording, with the format in `metadata["format"]`, and its faults and repairs. If too many
+        frames are lost, one of them is an error.
     """
     path = Path(path)
     for kind, given, choices in (("side", side, SIDES), ("unit", unit, UNITS_M)):
         if given is not None and given not in choices:
             raise UnknownNameError(kind, given, choices)
     if (unfinished := read_parts(path)) is not None:
-        _agree_on_side(path, unfinished.side, side)
+        _require_side(path, unfinished.side, side)
         return unfinished, []
     source = load(path)
     chosen = choose(path, source.contents, format)
     read = FORMATS[chosen].read(source, side)
-    _agree_on_side(path, read.side, side)
+    _require_side(path, read.side, side)
     if isinstance(read, Recording):
         if unit not in (None, "m"):
             raise RecordingError(f"{path}: geort-drake's own files are in metres, not in {unit}")
@@ -99,7 +99,7 @@ def open_recording(
 
 
 def _repaired(source: Source, recording: Recording) -> Recording:
-    """Our own file with increasing times and unit quaternions."""
+    """Repairs times and quaternions of a recording from geort-drake's own file."""
     count, X_WH = len(recording), recording.X_WH
     t = repaired_times(recording.t, np.arange(count), source.faults)
     if X_WH is not None:
@@ -111,24 +111,24 @@ def _repaired(source: Source, recording: Recording) -> Recording:
 
 
 def _recording(source: Source, tracks: Tracks, metadata: dict, rate_hz: float | None) -> Recording:
-    """The keypoints in H with times from 0; their faults and repairs are added to the source's findings."""
+    """Makes a recording in H with times from 0; adds faults and repairs to the source's findings."""
     p_WK, t, faults = UNITS_M[metadata["unit"]] * tracks.p_WK, tracks.t, source.faults
     count = len(p_WK)
     with np.errstate(invalid="ignore"):
-        empty = np.ptp(p_WK, axis=1).max(axis=1, initial=0.0) < _ONE_PLACE_M
+        empty = np.ptp(p_WK, axis=1).max(axis=1, initial=0.0) < _COINCIDENT_M
     faults.add(NO_HAND, np.flatnonzero(empty), "all keypoints are in one place")
     p_WK[empty] = np.nan
     numbers = np.arange(count)
     metadata["rate_known"] = t is not None or rate_hz is not None
     if t is not None:
-        numbers = _first_of_doubles(source, p_WK, t)
+        numbers = _without_duplicates(source, p_WK, t)
         t = repaired_times(t[numbers], numbers, faults)
     else:
         t = numbers / (rate_hz or ASSUMED_RATE_HZ)
     if not metadata["rate_known"]:
         what = f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed"
         source.findings.append(warning("timestamps", what, advice="if you know better, import with --rate"))
-    if len(t) and t[0] > _UNIX_S:
+    if len(t) and t[0] > _MIN_UNIX_TIME_S:
         metadata["start_time_unix_s"] = float(t[0])
     p_VK = mirrored(p_WK) if metadata["side"] == "left" else p_WK
     with np.errstate(invalid="ignore", over="ignore"):
@@ -148,22 +148,22 @@ def _recording(source: Source, tracks: Tracks, metadata: dict, rate_hz: float | 
 
 
 def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """X_WH (T, 7) as the keypoints give it; without rotation in frames that are not known."""
+    """Computes wrist poses X_WH (T, 7) from keypoints; frames that are not `known` get no rotation."""
     R_WH, p_WH = wrist_pose(p_WK)
     if not len(p_WH):
         return np.empty((0, 7))  # SciPy 1.15 accepts no empty array
-    # If squares overflow, there is no rotation.
-    turned = known & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
-    R_WH = np.where(turned[:, None, None], R_WH, np.eye(3))
+    # Where squares overflow, the rotation is unknown as well.
+    has_rotation = known & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)
+    R_WH = np.where(has_rotation[:, None, None], R_WH, np.eye(3))
     quaternions = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)
-    # Signs are chosen so that neighbours are close and can be interpolated.
+    # Signs are chosen so that neighbouring quaternions are close and can be interpolated.
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
     signs = np.where(np.concatenate([[0], np.cumsum(flips)]) % 2, -1.0, 1.0)
     return np.concatenate([quaternions * signs[:, None], p_WH], axis=1)
 
 
-def _first_of_doubles(source: Source, p_WK: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Numbers of the frames, without those that repeat the one before in time and keypoints."""
+def _without_duplicates(source: Source, p_WK: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Returns the numbers of the frames that do not repeat the one before in time and keypoints."""
     same = np.diff(t, prepend=np.nan) == 0
     same[1:] &= ((p_WK[1:] == p_WK[:-1]) | np.isnan(p_WK[1:])).all(axis=(1, 2))
     if same.any():
@@ -173,7 +173,7 @@ def _first_of_doubles(source: Source, p_WK: np.ndarray, t: np.ndarray) -> np.nda
     return np.flatnonzero(~same)
 
 
-def _agree_on_side(path: Path, given: str | None, expected: str) -> None:
+def _require_side(path: Path, given: str | None, expected: str) -> None:
     if given is not None and given != expected:
         raise RecordingError(
             f"{path}: the file contains a {given} hand, a {expected} one was requested; convert it with "

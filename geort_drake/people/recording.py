@@ -18,12 +18,12 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 # Incremented when the meaning of p_HK changes, so that old files are recognised.
 CONVENTION = 1
 SIDES = ("left", "right")
-PINCH_M = 0.015  # a thumb–finger distance below this counts as a pinch
-# Largest size of a file, packed and unpacked; the largest format takes 1.5 GB for an hour at 120 Hz.
+PINCH_M = 0.015  # a distance between the tips of thumb and finger below this counts as a pinch
+# Largest size of a file, packed and unpacked; an hour at 120 Hz takes 1.5 GB in the largest format.
 MAX_BYTES = 2 << 30
 _TIME_TOLERANCE = 1e-6  # s; recorded times are sums of binary fractions
 
-# Types of the metadata that programs use.
+# Expected types of metadata fields.
 _METADATA = {
     **dict.fromkeys(("format", "source", "object", "recorded_side", "unit"), str),
     **dict.fromkeys(("rate_known", "wrist_position_tracked"), bool),
@@ -42,8 +42,8 @@ class Recording:
         t: (T,) time of each frame from 0, s.
         p_HK: (T, 21, 3) float32, m. A left hand is stored as its mirror image.
         valid: (T,) bool, False where tracking was lost; p_HK of such frames is meaningless.
-        X_WH: (T, 7) wrist pose in the tracker's world as qw qx qy qz x y z, or None.
-        metadata: side, source, rate and other facts stated by the source; JSON types only.
+        X_WH: (T, 7) wrist pose in the tracker's world W as qw qx qy qz x y z, m, or None.
+        metadata: side, source and other facts stated by the source; JSON types only.
         robot: (T, n) float32 commanded and measured positions of the joints of a real robot, rad, with their
             names in metadata["robot_signals"], such as "arm.measured.panda_joint1"; or None.
     """
@@ -57,7 +57,7 @@ class Recording:
 
     def __post_init__(self) -> None:
         frames = np.size(self.t) if np.ndim(self.t) == 1 else -1
-        # The file stores float32, so the digest survives a round trip.
+        # These are the types in the file, so the digest survives a round trip.
         fields: dict[str, tuple[type, tuple[int, ...]]] = {
             "t": (np.float64, (frames,)),
             "p_HK": (np.float32, (frames, KEYPOINT_COUNT, 3)),
@@ -86,7 +86,7 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last frame, s; 0 without frames."""
+        """Time from the first to the last frame, s; 0 if there are no frames."""
         return float(self.t[-1] - self.t[0]) if len(self) else 0.0
 
     @property
@@ -96,7 +96,7 @@ class Recording:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of side, t, p_HK, valid and X_WH; the same before saving and after loading."""
+        """SHA-256 of side, t, p_HK, valid and X_WH; unchanged by saving and loading."""
         digest = hashlib.sha256(self.side.encode())
         for name in ("t", "p_HK", "valid", "X_WH"):
             value = getattr(self, name)
@@ -106,15 +106,15 @@ class Recording:
         return digest.hexdigest()
 
     def fingertips(self, keypoints: Sequence[int] = tuple(TIP_KEYPOINT.values())) -> np.ndarray:
-        """Returns p_HF (T, F, 3) float64, m: the given keypoints of the valid frames."""
+        """Returns p_HF (N, F, 3) float64, m: the given keypoints in the N valid frames."""
         return self.p_HK[self.valid][:, list(keypoints)].astype(float)
 
     def tracked(self) -> "Recording":
-        """The recording without the frames in which tracking was lost."""
+        """Returns the recording without the frames in which tracking was lost."""
         return self._rows(self.t[self.valid], self.valid)
 
     def at(self, t: np.ndarray) -> "Recording":
-        """The recording at times t (T,), s, each with the latest frame before it, as a device delivers it."""
+        """Returns the recording resampled at times t (T,), s, each with the latest frame up to then."""
         return self._rows(t, newest(self.t, t))
 
     def _rows(self, t: np.ndarray, rows: np.ndarray) -> "Recording":
@@ -131,15 +131,15 @@ class Recording:
         return dataclasses.replace(self, metadata=metadata)
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes the recording as .npz without pickle, atomically."""
+        """Writes the recording atomically as .npz, without pickle; other suffixes raise RecordingError."""
         if Path(path).suffix != ".npz":
             raise RecordingError(f"{path}: a recording is saved as .npz, not '{Path(path).suffix}'")
         arrays: dict[str, np.ndarray] = {"t": self.t, "p_HK": self.p_HK, "valid": self.valid}
         arrays |= {name: value for name in _OPTIONAL if (value := getattr(self, name)) is not None}
         metadata = {**self.metadata, "side": self.side, "convention": CONVENTION}
-        metadata.pop("unit", None)  # the source's; the file is in metres
+        metadata.pop("unit", None)  # of the source; this file is in metres
         with atomic_path(path) as draft:
-            # The stub takes every array for the argument allow_pickle.
+            # NumPy's type stub mistakes the arrays for the argument allow_pickle.
             np.savez_compressed(draft, **arrays, metadata=np.array(json.dumps(metadata)))  # type: ignore[arg-type]
 
     @classmethod
@@ -153,7 +153,7 @@ class Recording:
 
     @classmethod
     def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> "Recording":
-        """Makes a recording from the arrays that `save` writes; raises as `load` does, naming it `name`."""
+        """Makes a recording from the arrays that `save` writes; raises as `load` does, with `name` as path."""
         missing = [field for field in ("t", "p_HK", "valid", "metadata") if field not in arrays]
         if missing:
             raise RecordingError(f"{name}: not a recording: it lacks {', '.join(missing)}")
@@ -176,12 +176,12 @@ class Recording:
 
 
 def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(T,) row of the latest sample at each time `t` (T,), of samples at times `sampled` (S,); at least 0."""
+    """Returns rows (T,) of the latest samples at times t (T,); `sampled` (S,) are their times. At least 0."""
     return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
 
 
 def _checked_metadata(metadata: dict) -> dict:
-    """Metadata without fields of an unexpected type; its warnings name them."""
+    """Returns the metadata without fields of unexpected types, which are added to its warnings."""
     bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field), kind | None)]
     kept = {field: value for field, value in metadata.items() if field not in bad}
     if bad or "warnings" in kept:
@@ -192,10 +192,10 @@ def _checked_metadata(metadata: dict) -> dict:
 
 
 def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file, or of an .npy file under the name "data"; never unpickles.
+    """Returns the arrays of an .npz file, or that of an .npy file under the name "data"; never unpickles.
 
     Raises:
-        RecordingError: no such file, not NumPy's, or larger than `MAX_BYTES`, also when unpacked.
+        RecordingError: the file is missing, not NumPy's, or larger than `MAX_BYTES`, packed or unpacked.
     """
     path = Path(path)
     check_file(path)
@@ -217,7 +217,7 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
 
 
 def check_file(path: Path) -> None:
-    """Raises RecordingError unless `path` is a file of at most `MAX_BYTES`, and no Git LFS pointer."""
+    """Raises RecordingError unless `path` is a file of at most `MAX_BYTES` and not a Git LFS pointer."""
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
     _check_size(path, path.stat().st_size)

@@ -1,8 +1,8 @@
-"""Saves a recording while it is made: numbered parts in a folder beside its file, joined at the end.
+"""Saves a recording while it is made: numbered parts in a folder next to its file, joined at the end.
 
-After a crash or on a full disk, the written parts stay. `read_recording` reads them, given the missing file's
-name or the folder's. The next session that records to the same file first joins them into a file of their
-own.
+After a crash or on a full disk, the written parts stay. `read_recording` reads them under the name of the
+missing file or of the folder. The next session that records to the same file first joins them into a file of
+their own.
 """
 
 import os
@@ -29,14 +29,14 @@ class RecordingParts:
     """Writes parts of a recording to disk in a thread, and joins them at the end.
 
     Attributes:
-        recovered: the file into which an interrupted session's parts were joined; None without any.
+        recovered: the file into which an interrupted session's parts were joined, or None.
 
     Args:
-        path: .npz; an earlier file is replaced when the recording is finished.
-        metadata: of the recording.
+        path: an .npz file; an earlier one is replaced when the recording is finished.
+        metadata: metadata of the recording.
 
     Raises:
-        OutputError: the disk is full, or the place may not be written to.
+        OutputError: the disk is full, or the folder is not writable.
         RecordingError: the path has another suffix, or an interrupted session's parts cannot be read.
     """
 
@@ -56,7 +56,7 @@ class RecordingParts:
 
     @property
     def failed(self) -> bool:
-        """Whether parts are dropped since one could not be written."""
+        """Whether a part could not be written; later parts are dropped."""
         return self._error is not None
 
     def append(
@@ -67,7 +67,7 @@ class RecordingParts:
         X_WH: np.ndarray,
         robot: np.ndarray | None = None,
     ) -> None:
-        """Hands over a part without waiting; shapes and units as in `Recording`, t from any time on.
+        """Queues a part without waiting; shapes and units as in `Recording`, but t may start at any time.
 
         If writing fails or is too slow, parts are dropped: this warns at once, and `finish` raises the error.
         """
@@ -78,10 +78,10 @@ class RecordingParts:
                 self._fail(OutputError(f"{self._folder}: cannot be written: the disk is too slow"))
 
     def finish(self, metadata: Mapping[str, Any] | None = None) -> bool:
-        """Joins the parts into the file and removes them; False where there are none, and so no file.
+        """Joins the parts into the file and removes them; returns False if there are none, and so no file.
 
         Args:
-            metadata: entries to add, such as those known only at the end.
+            metadata: entries to add, such as facts known only at the end.
 
         Raises:
             OutputError: a part or the file could not be written. Written parts stay.
@@ -114,10 +114,10 @@ class RecordingParts:
 
 
 def read_parts(path: str | os.PathLike) -> Recording | None:
-    """The joined parts of an unfinished recording; None without any, or where `path` is a finished one.
+    """Joins the parts of an unfinished recording; returns None if there are none, or `path` is finished.
 
     Args:
-        path: of the recording, or of the folder of its parts.
+        path: path of the recording, or of the folder of its parts.
 
     Raises:
         RecordingError: a part is no recording.
@@ -139,7 +139,7 @@ def read_parts(path: str | os.PathLike) -> Recording | None:
 
 
 def _recover(path: Path) -> Path | None:
-    """Joins an interrupted session's parts into a file of their own, and returns it."""
+    """Joins an interrupted session's parts into a file of their own; returns its path, or None."""
     folder = _folder_of(path)
     if (recording := read_parts(folder)) is None:
         return None
@@ -154,7 +154,7 @@ def _recover(path: Path) -> Path | None:
 
 
 def _folder_of(path: Path) -> Path:
-    return path.parent / (path.name + _SUFFIX)  # also of ".", which has no name
+    return path.parent / (path.name + _SUFFIX)  # works for ".", which has no name
 
 
 def _remove(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""Repairs of recordings that need no guess: time stamps, and lengths of quaternions."""
+"""Repairs of recordings that need no guess: times, and norms of quaternions."""
 
 import bisect
 
@@ -6,20 +6,20 @@ import numpy as np
 
 from geort_drake.people.checks.findings import Finding, FrameFaults, warning
 
-# If the first or last frame is farther from the others than this, its time is wrong.
+# The time of a first or last frame that is farther from the others than this is wrong.
 _LONGEST_GAP_S, _LONGEST_GAP_PERIODS = 60.0, 1000.0
 _WINDOW = 2  # frames to either side that determine which of two neighbouring times is wrong
-# Deviations of a quaternion's norm from 1: up to the first it is accepted, up to the second normalised.
+# Deviations of a quaternion's norm from 1 that are accepted, and those that are normalised.
 NORM_TOLERANCE, NORM_REPAIRABLE = 1e-2, 0.2
 
 
 def repaired_times(t: np.ndarray, numbers: np.ndarray, faults: FrameFaults) -> np.ndarray:
-    """Increasing times (T,), s: unusable ones are interpolated, and their frames get a fault.
+    """Returns increasing times (T,), s: unusable ones are interpolated, and their frames get a fault.
 
     Args:
         t: (T,) times, s; NaN where there is none.
-        numbers: (T,) of the frames, for the report.
-        faults: to which the unusable frames are added.
+        numbers: (T,) numbers of the frames, for the report.
+        faults: collects the unusable frames.
     """
     known = np.flatnonzero(np.isfinite(t))
     if len(known) >= 2:
@@ -36,10 +36,10 @@ def repaired_times(t: np.ndarray, numbers: np.ndarray, faults: FrameFaults) -> n
 
 
 def _increasing(t: np.ndarray) -> np.ndarray:
-    """Indices of the times (N,) to keep, so that they increase.
+    """Returns the indices of the times t (N,) to keep so that they increase.
 
-    Of two neighbours in the wrong order, the one farther from the clock's rate is dropped; then as few as
-    possible.
+    Of two neighbours in the wrong order, the one that deviates more from the regular clock is dropped; then
+    as few as possible.
     """
     period = float(np.median(np.diff(t)))
     offset = np.pad(t - period * np.arange(len(t)), _WINDOW, constant_values=np.nan)
@@ -57,8 +57,8 @@ def _increasing(t: np.ndarray) -> np.ndarray:
 
 
 def _longest_increasing(t: np.ndarray) -> list[int]:
-    """Indices of a longest strictly increasing subsequence of t (N,)."""
-    ends: list[float] = []  # the least last time of a subsequence of each length
+    """Returns the indices of a longest strictly increasing subsequence of t (N,)."""
+    ends: list[float] = []  # the smallest last time of the subsequences of each length
     last: list[int] = []
     before = [-1] * len(t)
     for i, value in enumerate(t.tolist()):
@@ -75,14 +75,14 @@ def _longest_increasing(t: np.ndarray) -> list[int]:
 def repaired_poses(
     X_WH: np.ndarray, valid: np.ndarray, faults: FrameFaults
 ) -> tuple[np.ndarray, list[Finding]]:
-    """Poses (T, 7) with unit quaternions, and findings about repairs.
+    """Returns poses (T, 7) with unit quaternions, and findings about repairs.
 
-    Quaternions with a norm near one are normalised. Frames with others get a fault and the identity.
+    Quaternions with a norm near one are normalised; other frames get a fault and the identity rotation.
 
     Args:
-        X_WH: (T, 7) as qw qx qy qz x y z.
+        X_WH: (T, 7) poses as qw qx qy qz x y z, m.
         valid: (T,) bool; faults of invalid frames are not reported.
-        faults: to which the unusable frames are added.
+        faults: collects the unusable frames.
     """
     norm = np.linalg.norm(X_WH[:, :4], axis=1)
     off = np.abs(norm - 1.0)

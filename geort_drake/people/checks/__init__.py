@@ -8,7 +8,7 @@ from geort_drake.people.checks import anatomy, motion, timing
 from geort_drake.people.checks.findings import Finding, Severity
 from geort_drake.people.recording import Recording
 
-# Checks rely on those before them.
+# In order: each check relies on those before it.
 CHECKS: tuple[Callable[[Recording], Iterator[Finding]], ...] = (
     timing.check_clock,
     timing.check_lost,
@@ -46,7 +46,7 @@ def examine(recording: Recording) -> tuple[Recording, list[Finding]]:
 
 
 def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> None:
-    """Raises RecordingError with the first finding that forbids use, or with `training` training."""
+    """Raises RecordingError for the first finding that forbids use, or training if `training` is set."""
     fatal = (Severity.ERROR, Severity.UNFIT) if training else (Severity.ERROR,)
     for finding in findings:
         if finding.severity in fatal:
@@ -60,7 +60,7 @@ def noted(recording: Recording, findings: Iterable[Finding]) -> Recording:
 
 
 def verdict(findings: Iterable[Finding]) -> str:
-    """ "usable", "usable with warnings" or "refused"."""
+    """Returns "usable", "usable with warnings" or "refused"."""
     severities = {finding.severity for finding in findings}
     if Severity.ERROR in severities:
         return "refused"

@@ -1,4 +1,4 @@
-"""Checks that keypoints are a hand: order, unit, side, bones and frame."""
+"""Checks that keypoints form a hand: order, unit, side, bones and frame."""
 
 from collections.abc import Iterator
 
@@ -20,29 +20,29 @@ from geort_drake.people.recording import SIDES, Recording
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254}
 
 _PALM_M = (0.060, 0.110)  # wrist to middle knuckle, from a child of ten to a large adult
-_BENT = 0.02  # the mean sine of the fingers' bending above which the side can be determined
-_FRAME_M = 0.005  # largest distance of a keypoint from where the definition of H puts it
-# Larger deviations of a bone from its median length are faults; camera trackers vary by 4 to 16 %.
-_ODD_BONE, _ODD_BONE_M = 0.75, 0.01
-_NOISY_BONES, _UNUSABLE_BONES = 0.03, 0.25  # standard deviation over mean
+_MIN_BEND_SINE = 0.02  # mean over the fingers; below it, the side cannot be determined
+_FRAME_TOLERANCE_M = 0.005  # between a keypoint and its position by the definition of H
+# Largest deviation of a bone from its median length, relative plus absolute; cameras vary by 4 to 16 %.
+_BONE_DEVIATION, _BONE_DEVIATION_M = 0.75, 0.01
+_NOISY_SPREAD, _UNUSABLE_SPREAD = 0.03, 0.25  # of a bone: standard deviation over mean
 
 
 def check_order(recording: Recording) -> Iterator[Finding]:
-    """The 21 keypoints come in the expected order."""
-    order, oddity = fitting_order(_valid(recording))
+    """Checks that the 21 keypoints come in the expected order."""
+    order, contradiction = fitting_order(_valid(recording))
     if order != EXPECTED:
-        given = f"a hand in this order: {order}" if order else f"no hand in any known order: {oddity}"
+        given = f"a hand in this order: {order}" if order else f"no hand in any known order: {contradiction}"
         what = f"wrong joint order: keypoints must be {EXPECTED}, but are {given}"
         yield error("joint order", what, "p_HK", "reorder them before importing")
 
 
 def check_unit(recording: Recording) -> Iterator[Finding]:
-    """The hand is as large as a person's, in metres."""
+    """Checks that the hand has a person's size, in metres."""
     p_HK = _valid(recording)
     palm = float(np.median(np.linalg.norm(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=-1)))
     low, high = _PALM_M
     if not low <= palm <= high:
-        # The unit with which a file was read; our own files are in metres and have none.
+        # The unit in which the file was read; geort-drake's own files are in metres and state none.
         unit = recording.metadata.get("unit")
         number = palm / UNITS_M.get(unit or "m", 1.0)
         fits = [other for other, size in UNITS_M.items() if low <= number * size <= high]
@@ -53,25 +53,25 @@ def check_unit(recording: Recording) -> Iterator[Finding]:
 
 
 def check_side(recording: Recording) -> Iterator[Finding]:
-    """The hand is of the requested side, and not in mirrored coordinates."""
+    """Checks that the hand is of the requested side and its axes are not mirrored."""
     side, bending = recording.side, _mean_bending(_valid(recording))
-    if bending < -_BENT:
+    if bending < -_MIN_BEND_SINE:
         other = SIDES[1 - SIDES.index(side)]
         what = f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a "
         what += f"{side} one in mirrored axes (such as Unity's, which are left-handed)"
         advice = f"read it with --side {other}, or to get a {side} hand, also if the axes are mirrored, "
         advice += f"convert it with --side {other} --mirror"
         yield error("handedness", what, "p_HK", advice)
-    elif bending < _BENT:
+    elif bending < _MIN_BEND_SINE:
         what = "the fingers hardly bend, so the side of the hand cannot be checked"
         yield warning("handedness", what, "p_HK", "make a fist while recording")
 
 
 def _mean_bending(p_HK: np.ndarray) -> float:
-    """Mean sine of the angle between the fingers' first and last bones in keypoints (T, 21, 3).
+    """Computes the mean sine of the angle from the fingers' first to their last bones; p_HK is (T, 21, 3).
 
-    Fingers bend towards +x whichever pose the hand is in, so the turn from the first to the last bone is
-    about +y. In a mirror image y and z stay as they are and x = y × z changes sign.
+    Fingers bend towards +x in every pose of the hand, so the first bone turns to the last one about +y. In a
+    mirror image y and z stay the same and x = y × z changes sign, so the sine is negative.
     """
     first, last = (
         np.stack([p_HK[:, k[i + 1]] - p_HK[:, k[i]] for k in list(FINGER_KEYPOINTS.values())[1:]], axis=1)
@@ -88,12 +88,12 @@ def bent_side(p_WK: np.ndarray, side: str) -> str:
     """
     p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
     p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
-    backwards = len(p_HK) > 0 and _mean_bending(p_HK) < -_BENT
+    backwards = len(p_HK) > 0 and _mean_bending(p_HK) < -_MIN_BEND_SINE
     return SIDES[1 - SIDES.index(side)] if backwards else side
 
 
 def check_bones(recording: Recording) -> Iterator[Finding]:
-    """Bones keep their lengths, and no two keypoints coincide. Frames of another size become invalid."""
+    """Checks that bones keep their lengths and keypoints are distinct; frames of outliers become invalid."""
     length = bone_lengths(_valid(recording))
     median = np.median(length, axis=0)
     if median.min() < 1e-3:
@@ -101,35 +101,35 @@ def check_bones(recording: Recording) -> Iterator[Finding]:
         what = f"keypoints {parent} and {child} coincide; 21 distinct ones are needed"
         yield error("bone lengths", what, f"p_HK[:, {child}]")
         return
-    odd = (np.abs(length - median) > _ODD_BONE * median + _ODD_BONE_M).any(axis=1)
-    if odd.mean() <= MAX_LOST:  # else the spread below reports it
-        yield from _lost(recording, odd, "have bones of another length")
-        length = length[~odd]
+    outlier = (np.abs(length - median) > _BONE_DEVIATION * median + _BONE_DEVIATION_M).any(axis=1)
+    if outlier.mean() <= MAX_LOST:  # else the spread below reports it
+        yield from _lost(recording, outlier, "have bones of another length")
+        length = length[~outlier]
     spread = length.std(axis=0) / length.mean(axis=0)
     worst = int(np.argmax(spread))
     parent, child = BONES[worst]
-    if spread[worst] >= _NOISY_BONES:
-        kind = error if spread[worst] > _UNUSABLE_BONES else warning
+    if spread[worst] >= _NOISY_SPREAD:
+        kind = error if spread[worst] > _UNUSABLE_SPREAD else warning
         what = f"bone {parent}–{child} changes its length by {spread[worst]:.0%} (deviation over mean); "
-        what += f"a glove's by less than {_NOISY_BONES:.0%}, and over {_UNUSABLE_BONES:.0%} is unusable"
+        what += f"a glove's change by less than {_NOISY_SPREAD:.0%}; over {_UNUSABLE_SPREAD:.0%} is unusable"
         yield kind("bone lengths", what, f"p_HK[:, {child}]", "check that these are 3-D keypoints in m")
 
 
 def check_frame(recording: Recording) -> Iterator[Finding]:
-    """Keypoints are given in the wrist frame H: its origin, and the directions of its axes."""
+    """Checks that keypoints are given in the wrist frame H: its origin and axes."""
     p_HK = _valid(recording)
     off = np.linalg.norm(to_wrist_frame(p_HK) - p_HK, axis=-1).max(axis=1)
-    if np.nanmedian(off) < _FRAME_M:
-        yield from _lost(recording, ~(off < _FRAME_M), "are not in the wrist frame H")
+    if np.nanmedian(off) < _FRAME_TOLERANCE_M:
+        yield from _lost(recording, ~(off < _FRAME_TOLERANCE_M), "are not in the wrist frame H")
         return
     what = "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, y to "
     what += f"the index side), but are off by {1e3 * np.nanmedian(off):.0f} mm"
-    advice = "save other frames as (T, 21, 3) .npy, which is brought to H when it is read"
+    advice = "save other frames as (T, 21, 3) .npy, which is transformed to H when it is read"
     yield error("axes", what, "p_HK", advice)
 
 
 def _lost(recording: Recording, bad: np.ndarray, what: str) -> Iterator[Finding]:
-    """A finding about bad ones among the valid frames."""
+    """Yields a finding about the `bad` frames, a mask (N,) over the N valid ones, if there are any."""
     if bad.any():
         yield lost_frames(np.flatnonzero(recording.valid)[bad].tolist(), len(recording), what)
 

@@ -43,12 +43,12 @@ class Finding:
 
 
 def error(check: str, what: str, where: str = "", advice: str = "") -> Finding:
-    """Makes a finding that refuses the recording."""
+    """Makes a finding for which the recording is refused."""
     return Finding(check, Severity.ERROR, what, where, advice)
 
 
 def warning(check: str, what: str, where: str = "", advice: str = "", lost: Sequence[int] = ()) -> Finding:
-    """Makes a finding about a usable recording."""
+    """Makes a finding that leaves the recording usable."""
     return Finding(check, Severity.WARNING, what, where, advice, tuple(int(frame) for frame in lost))
 
 
@@ -58,11 +58,11 @@ def lost_frames(
     """Reports unusable frames among `count`: a warning, or an error above `MAX_LOST`.
 
     Args:
-        frames: the lost ones, at least one.
-        count: of all frames.
+        frames: numbers of the lost frames, at least one.
+        count: number of all frames.
         what: completes "3 of 400 frames ...".
-        detail: the fault of the first one.
-        too_many: makes it an error in any case.
+        detail: fault of the first lost frame.
+        too_many: reports an error for any number of lost frames.
     """
     what = f"{len(frames)} of {count} frames {what}, the first is frame {frames[0]}"
     what += f": {detail}" if detail else ""
@@ -73,7 +73,7 @@ def lost_frames(
 
 
 class FrameFaults:
-    """Faults of single frames, collected while a file is read. Each frame keeps its first one."""
+    """Collects the faults of single frames while a file is read; each frame keeps its first fault."""
 
     def __init__(self) -> None:
         self._faults: dict[int, tuple[str, str]] = {}
@@ -83,19 +83,19 @@ class FrameFaults:
 
         Args:
             kind: completes "3 of 400 frames ...".
-            frames: their numbers, or number → fault.
-            detail: the fault of all of them.
+            frames: numbers of the frames, or a mapping from number to fault.
+            detail: the fault, if it is the same in all of them.
         """
         details = frames if isinstance(frames, Mapping) else dict.fromkeys(frames, detail)
         for frame, each in details.items():
             self._faults.setdefault(int(frame), (kind, each))
 
     def valid(self, count: int) -> np.ndarray:
-        """(count,) bool: the frames without a fault."""
+        """Returns (count,) bool: which frames have no fault."""
         return ~np.isin(np.arange(count), list(self._faults))
 
     def findings(self, count: int) -> list[Finding]:
-        """One finding for each kind; all are errors, where together they lose too many of `count` frames."""
+        """Makes one finding per kind of fault, all errors if too many of `count` frames are lost in total."""
         kinds: dict[str, list[int]] = {}
         for frame, (kind, _) in sorted(self._faults.items()):
             kinds.setdefault(kind, []).append(frame)

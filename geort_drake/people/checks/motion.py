@@ -10,26 +10,26 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS, WRIST
 from geort_drake.people.recording import PINCH_M, Recording
 
 _TRAINING_FRAMES = 300
-_STUCK_DEG = 0.05  # standard deviation of a joint's angle
-# In a spike, a keypoint moves by more than this and returns in the next frame. Ten times a glove's jitter;
-# two people's free play at 30 and 118 Hz contains no such frame.
+_STUCK_DEG = 0.05  # standard deviation of a joint's angle, below which it counts as stuck
+# In a spike, a keypoint moves by more than this and returns in the next frame. This is ten times a glove's
+# jitter; two people's free play at 30 and 118 Hz contains no such frame.
 _SPIKE_M = 0.02
 _JUMP_M = 0.05
-_JUMP_RATIO = 5.0  # of a jump to the steps before and after it, which separates it from fast motion
-_WRIST_M_S = 10.0  # an arm throws at that speed
+_JUMP_RATIO = 5.0  # of a jump to the steps before and after it; fast motion has a smaller one
+_MAX_WRIST_M_S = 10.0  # an arm reaches this speed in a throw
 
 
 def check_spikes(recording: Recording) -> Iterator[Finding]:
-    """Single frames in which a keypoint jumps away become invalid."""
+    """Finds single frames in which a keypoint jumps away and back; they become invalid."""
     p = recording.p_HK.astype(float)
     off = np.linalg.norm(p[1:-1] - 0.5 * (p[:-2] + p[2:]), axis=-1)
     across = np.linalg.norm(p[2:] - p[:-2], axis=-1)
     usable = recording.valid[1:-1] & recording.valid[:-2] & recording.valid[2:]
     height = np.where((off > _SPIKE_M) & (across < 0.5 * off) & usable[:, None], off, 0.0)
     highest = height.max(axis=1, initial=0.0)
-    # The frames beside a spike differ from their neighbours as well, by half as much.
-    beside = np.maximum(np.append(highest[1:], 0.0), np.append(0.0, highest[:-1]))
-    frames = np.flatnonzero((highest > 0.0) & (highest >= beside)) + 1
+    # The frames next to a spike deviate as well, by half as much.
+    adjacent = np.maximum(np.append(highest[1:], 0.0), np.append(0.0, highest[:-1]))
+    frames = np.flatnonzero((highest > 0.0) & (highest >= adjacent)) + 1
     if len(frames):
         worst = int(frames[np.argmax(highest[frames - 1])])
         what = f"in {len(frames)} single frames a keypoint jumps away and back, the farthest by "
@@ -39,11 +39,11 @@ def check_spikes(recording: Recording) -> Iterator[Finding]:
 
 
 def check_jumps(recording: Recording) -> Iterator[Finding]:
-    """Impossible steps of fingers, such as between joined recordings, and impossible speeds of the wrist."""
+    """Finds impossible steps of fingers, as between joined recordings, and impossible speeds of the wrist."""
     both = recording.valid[1:] & recording.valid[:-1]
     step = np.linalg.norm(np.diff(recording.p_HK.astype(float), axis=0), axis=-1)
-    beside = np.maximum(step[:-2], step[2:])
-    jump = (step[1:-1] > _JUMP_M) & (step[1:-1] > _JUMP_RATIO * beside)
+    adjacent = np.maximum(step[:-2], step[2:])
+    jump = (step[1:-1] > _JUMP_M) & (step[1:-1] > _JUMP_RATIO * adjacent)
     jump &= (both[1:-1] & both[:-2] & both[2:])[:, None]
     frames = np.flatnonzero(jump.any(axis=1)) + 2
     if len(frames):
@@ -54,7 +54,7 @@ def check_jumps(recording: Recording) -> Iterator[Finding]:
     if recording.X_WH is None:
         return
     speed = np.linalg.norm(np.diff(recording.X_WH[:, 4:], axis=0), axis=-1) / np.diff(recording.t)
-    fast = np.flatnonzero((speed > _WRIST_M_S) & both) + 1
+    fast = np.flatnonzero((speed > _MAX_WRIST_M_S) & both) + 1
     if len(fast):
         what = f"the wrist jumps {len(fast)} times, the first at {speed[fast[0] - 1]:.0f} m/s"
         advice = "check whether the tracker lost its base stations or restarted"
@@ -62,7 +62,7 @@ def check_jumps(recording: Recording) -> Iterator[Finding]:
 
 
 def check_frozen(recording: Recording) -> Iterator[Finding]:
-    """Every joint of every finger bends."""
+    """Checks that every joint of every finger bends."""
     p_HK = recording.p_HK[recording.valid].astype(float)
     if len(p_HK) < _TRAINING_FRAMES:
         return
@@ -79,7 +79,7 @@ def check_frozen(recording: Recording) -> Iterator[Finding]:
 
 
 def check_training(recording: Recording) -> Iterator[Finding]:
-    """There are enough frames and pinches for training."""
+    """Checks that there are enough frames and pinches for training."""
     valid = int(recording.valid.sum())
     if valid < _TRAINING_FRAMES:
         what = f"{valid} valid frames, training needs at least {_TRAINING_FRAMES}"

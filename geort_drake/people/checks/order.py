@@ -1,6 +1,6 @@
-"""Whether 21 keypoints come in the expected order, and which other known order they come in.
+"""Finds the known order in which 21 keypoints come.
 
-Everything is judged by distances, which do not depend on frame, unit or mirroring.
+Orders are judged by ratios of distances, which do not depend on frame, unit or mirroring.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ import numpy as np
 from geort_drake.people.keypoints import BONES
 from geort_drake.people.keypoints import FINGER_KEYPOINTS as _F
 
-# The keypoint at each of the 21 positions in a file, for the orders of published data sets.
+# Orders of published data sets: the keypoint at each of the 21 positions in a file.
 MANO_ORDER = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20)
 EXPECTED = "wrist, then thumb to little finger, base to tip (MediaPipe)"
 _TIPS_FIRST = tuple(k for chain in _F.values() for k in chain[::-1])
@@ -20,14 +20,14 @@ ORDERS: dict[str, tuple[int, ...]] = {
     "wrist, then each finger from tip to base (RHD)": (0, *_TIPS_FIRST),
     "each finger from tip to base, then the wrist (InterHand2.6M)": (*_TIPS_FIRST, 0),
 }
-_JITTER = 5e-4  # of a glove's bones, as a share of the palm
+_JITTER = 5e-4  # of a glove's bone lengths, as a fraction of the palm's length
 
 
 def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
-    """The order of `ORDERS` in which keypoints p (T, 21, 3), in any frame and unit, form a hand.
+    """Finds the order of `ORDERS` in which keypoints p (T, 21, 3), in any frame and unit, form a hand.
 
     The expected order is preferred if it fits nearly as well as another. If no order fits, the first value is
-    None and the second describes what contradicts the expected order.
+    None and the second describes what contradicts the expected order; otherwise it is empty.
     """
     p = p[np.linspace(0, len(p) - 1, min(len(p), 200)).astype(int)].astype(float)
     distances = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
@@ -37,16 +37,16 @@ def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
     fits: dict[str, float] = {}
     for name, order in ORDERS.items():
         grid = np.ix_(np.argsort(order), np.argsort(order))
-        if not any(_oddities(middle[grid])):
+        if not any(_contradictions(middle[grid])):
             fits[name] = float(spread[grid][parents, children].mean() / middle[grid][0, 9])
     if not fits:
-        return None, next(_oddities(middle))
+        return None, next(_contradictions(middle))
     best = min(fits, key=lambda name: fits[name])
     return EXPECTED if fits.get(EXPECTED, np.inf) <= 2 * fits[best] + _JITTER else best, ""
 
 
-def _oddities(distance: np.ndarray) -> Iterator[str]:
-    """Contradictions between the median distances (21, 21) of keypoints and the expected order."""
+def _contradictions(distance: np.ndarray) -> Iterator[str]:
+    """Yields what in the median distances (21, 21) of keypoints contradicts the expected order."""
     knuckles = distance[0, [5, 9, 13, 17]]
     if distance[0, 1] > 0.75 * knuckles.min():
         yield "keypoint 1, the thumb's base, is not nearer to the wrist than the knuckles are"

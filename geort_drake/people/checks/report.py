@@ -1,4 +1,4 @@
-"""The health of a recording as JSON: verdict, findings and figures."""
+"""Reports the health of a recording as JSON: verdict, findings and figures."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,12 +13,12 @@ from geort_drake.people.recording import PINCH_M, Recording
 
 
 def report(name: str, recording: Recording | None, findings: Sequence[Finding]) -> dict[str, Any]:
-    """The verdict, the findings and, unless the recording was refused, its figures.
+    """Returns the verdict, the findings and, unless the recording was refused, its figures.
 
     Args:
-        name: the file.
-        recording: as examined, or None where the file could not be read.
-        findings: of the reader and of the checks.
+        name: name of the file.
+        recording: the examined recording, or None if the file could not be read.
+        findings: those of the reader and of the checks.
     """
     unfit = any(finding.severity in (Severity.ERROR, Severity.UNFIT) for finding in findings)
     result: dict[str, Any] = {

@@ -7,16 +7,16 @@ import numpy as np
 from geort_drake.people.checks.findings import Finding, error, lost_frames, warning
 from geort_drake.people.recording import Recording
 
-_RATE_HZ = (2.0, 2000.0)
+_RATE_HZ = (2.0, 2000.0)  # plausible range
 _GAP_S = 0.2
 _MISSING_FRACTION = 0.05  # a glove at 118 Hz over radio loses 4 %
 _FROZEN_S = 0.5
 _REPEATED_FRACTION = 0.02
-_SAME_M = 2e-7  # rounding errors of a repeated hand when the wrist moves; a glove's jitter is 0.05 mm
+_REPEAT_TOLERANCE_M = 2e-7  # rounding errors when the wrist moves; a glove's jitter is 0.05 mm
 
 
 def check_clock(recording: Recording) -> Iterator[Finding]:
-    """There are frames, and their times increase at a plausible rate."""
+    """Checks that there are frames, and that their times increase at a plausible rate."""
     t = recording.t
     if len(t) < 2:
         yield error("length", f"at least 2 frames are needed, {len(t)} given", "t")
@@ -37,7 +37,7 @@ def check_clock(recording: Recording) -> Iterator[Finding]:
 
 
 def check_lost(recording: Recording) -> Iterator[Finding]:
-    """Frames that are not finite numbers become invalid; some frames must be left."""
+    """Marks frames that are not finite numbers as invalid; at least two must be left."""
     known = np.isfinite(recording.p_HK).all(axis=2)
     never = np.flatnonzero(~known.any(axis=0)).tolist()
     if 0 < len(never) < known.shape[1]:
@@ -56,7 +56,7 @@ def check_lost(recording: Recording) -> Iterator[Finding]:
 
 
 def check_dropped(recording: Recording) -> Iterator[Finding]:
-    """Frames that are missing between others, by the median period."""
+    """Finds gaps between frames, measured in median periods."""
     step = np.diff(recording.t)
     missing = int((np.round(step / np.median(step)) - 1).clip(0).sum())
     count = len(step) + missing
@@ -68,8 +68,8 @@ def check_dropped(recording: Recording) -> Iterator[Finding]:
 
 
 def check_repeats(recording: Recording) -> Iterator[Finding]:
-    """Frames that repeat the one before: a stalled sensor, or a recorder faster than the glove."""
-    same: np.ndarray = np.abs(np.diff(recording.p_HK, axis=0)).max(axis=(1, 2)) < _SAME_M
+    """Finds frames that repeat the one before: a stalled sensor, or a recorder faster than the glove."""
+    same: np.ndarray = np.abs(np.diff(recording.p_HK, axis=0)).max(axis=(1, 2)) < _REPEAT_TOLERANCE_M
     edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
     starts, ends = edges[::2], edges[1::2]
     held = recording.t[ends] - recording.t[starts]

@@ -26,11 +26,11 @@ FORMATS: dict[str, Format] = {
 
 
 def choose(path: Path, contents: Any, format: str = AUTO) -> str:
-    """The name of the format of a file's contents: the one given, or with "auto" the first that fits.
+    """Returns the name of the format of a file's contents: the given one, or with "auto" the first that fits.
 
     Raises:
         UnknownNameError: there is no such format.
-        RecordingError: the format has no such files, or no format fits; lists the choices.
+        RecordingError: the format does not use the file's suffix, or no format fits; lists the choices.
     """
     suffix = ".pkl" if path.is_dir() else path.suffix.lower()
     if format != AUTO:
@@ -38,7 +38,7 @@ def choose(path: Path, contents: Any, format: str = AUTO) -> str:
             raise UnknownNameError("format", format, [AUTO, *FORMATS])
         if suffix not in FORMATS[format].suffixes:
             expected = ", ".join(FORMATS[format].suffixes)
-            raise RecordingError(f"{path}: format '{format}' is read from {expected}, not '{suffix}'")
+            raise RecordingError(f"{path}: format '{format}' is read from {expected} files, not '{suffix}'")
         return format
     candidates = {name: entry for name, entry in FORMATS.items() if suffix in entry.suffixes}
     for name, entry in candidates.items():

@@ -1,4 +1,4 @@
-"""Contents of files: tables, arrays by name, and frames that are objects of JSON or pickles."""
+"""Accesses the contents of files: tables, arrays by name, and frames that are JSON or pickled objects."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -7,32 +7,32 @@ import numpy as np
 
 
 class BadFrame(Exception):
-    """A single frame cannot be read. The message says what was expected and what was given."""
+    """A single frame cannot be read; the message says what was expected and what was given."""
 
 
 class Table(NamedTuple):
-    """A CSV file: names of the columns, and rows of texts."""
+    """A CSV file: the names of its columns, and rows of strings."""
 
     header: list[str]
     rows: list[list[str]]
 
 
 def frames_of(contents: Any) -> list:
-    """The frames of a file that is a list of them, or an object with such a list named frames; or none."""
+    """Returns the frames of a file: the list that it is, or its list `frames`; otherwise an empty list."""
     frames = contents.get("frames") if isinstance(contents, Mapping) else contents
     return frames if isinstance(frames, list) else []
 
 
 def any_frame(contents: Any, fits: Callable[[Mapping], bool]) -> bool:
-    """Whether one of the frames that are objects fits."""
+    """Whether `fits` holds for any frame that is an object."""
     return any(fits(frame) for frame in frames_of(contents) if isinstance(frame, Mapping))
 
 
 def joints_of(frame: Any, field: str, names: Sequence[str]) -> list | None:
-    """A frame's joints, given in the order of `names` or by name; None without any.
+    """Returns a frame's joints in the order of `names`, from a list or a mapping by name; None without any.
 
     Raises:
-        BadFrame: joints are missing.
+        BadFrame: joints are missing, or their number is wrong.
     """
     given = frame.get(field) if isinstance(frame, Mapping) else f"in {frame!r:.40}"
     if isinstance(given, Mapping):
@@ -47,25 +47,25 @@ def joints_of(frame: Any, field: str, names: Sequence[str]) -> list | None:
 
 
 def shape_in(contents: Any, field: str) -> tuple[int, ...]:
-    """The shape of an array in an archive; empty where there is none, or none of numbers."""
+    """Returns the shape of an archive's array; () if there is no such array, or it is not numeric."""
     array = contents.get(field) if isinstance(contents, Mapping) else None
     return array.shape if isinstance(array, np.ndarray) and array.dtype.kind in "fiu" else ()
 
 
 def point(value: Any) -> Any:
-    """A point given as [x, y, z], {"x": ..., "y": ..., "z": ...}, or null, which is NaN."""
+    """Returns [x, y, z] of a point given as such or as {"x": ..., "y": ..., "z": ...}; NaN for null."""
     if value is None:
         return [np.nan] * 3
     return [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else value
 
 
 def empty_frames(values: np.ndarray) -> np.ndarray:
-    """(T,) bool: frames of values (T, ...) that are all zeros, as some trackers store a lost hand."""
+    """Returns (T,) bool: frames of values (T, ...) that are all zero, as some trackers store a lost hand."""
     return (values == 0.0).all(axis=tuple(range(1, values.ndim)))
 
 
 def description(contents: Any) -> str:
-    """A file's contents in a few words."""
+    """Describes a file's contents in a few words."""
     if isinstance(contents, Mapping):
         parts = [
             f"{name if isinstance(name, str) else type(name).__name__:.40}{getattr(value, 'shape', '')}"
@@ -78,7 +78,7 @@ def description(contents: Any) -> str:
 
 
 def shape_of(value: Any) -> tuple[int, ...] | None:
-    """The shape of a value in a frame; None where its rows differ in length."""
+    """Returns the shape of a value in a frame; None if its rows differ in length."""
     try:
         return np.shape(value)
     except ValueError:

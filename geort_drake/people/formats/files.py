@@ -20,10 +20,10 @@ _MAX_REPLACED = 1e-3  # largest fraction of a text's characters that are not UTF
 
 
 def load(path: Path) -> Source:
-    """A file, or a folder of pickles with one frame each. Damaged frames become {} and are noted.
+    """Reads a file, or a folder of pickles with one frame each. Damaged frames become {} with a fault.
 
     Raises:
-        RecordingError: no such file, one too large, a suffix that is not read, or contents that do not fit
+        RecordingError: the file is missing or too large, its suffix is unknown, or its contents do not fit
             the suffix.
     """
     faults = FrameFaults()
@@ -40,7 +40,7 @@ def _load_folder(path: Path, faults: FrameFaults) -> list:
     files = sorted(path.glob("*.pkl"))
     if not files:
         raise RecordingError(
-            f"{path}: is a folder; a recording is a file, or a folder of .pkl files, one per frame (HO-3D)"
+            f"{path}: a folder without .pkl files; a recording is a file, or a folder with a .pkl per frame"
         )
     for file in files:
         check_file(file)
@@ -52,7 +52,7 @@ def _load_json_lines(path: Path, faults: FrameFaults) -> list:
 
 
 def _frames(sources: Sequence[Any], load_frame: Callable[[Any], Any], faults: FrameFaults) -> list:
-    """One frame of each source; {} and a fault where it cannot be read."""
+    """Loads one frame from each source; {} and a fault if it cannot be read."""
     frames: list = []
     for i, source in enumerate(sources):
         try:
@@ -81,7 +81,7 @@ def _load_table(path: Path, faults: FrameFaults) -> Table:
     for line in lines:
         try:
             rows.append(next(csv.reader([line], delimiter=delimiter)))
-        except csv.Error:  # of a cell too large; a row without cells is a bad frame
+        except csv.Error:  # a cell is too large; a row without cells is a bad frame
             rows.append([])
     return Table([name.strip() for name in rows[0]], rows[1:])
 
@@ -98,12 +98,12 @@ def _load_json(path: Path, faults: FrameFaults) -> Any:
 
 
 def _damaged_json(text: str, faults: FrameFaults) -> Any:
-    """A list of frames, or an object with one, though some are damaged or cut off; None without any."""
+    """Salvages a list of frames, or an object with one, from damaged or truncated JSON, or returns None."""
     head = re.match(r'\s*(\{[^[]*"frames"\s*:\s*)?\[', text)
     if head is None:
         return None
-    found: list[dict] = []  # the objects that can be read, and {} where none can
-    size: Counter[str] = Counter()  # of the objects that begin with a key
+    found: list[dict] = []  # the readable objects, and {} for each unreadable stretch
+    size: Counter[str] = Counter()  # total length of the objects, by their first key
     end = head.end()
     while (start := text.find("{", end)) >= 0:
         if text[end:start].strip(", \r\n\t"):
@@ -114,7 +114,7 @@ def _damaged_json(text: str, faults: FrameFaults) -> Any:
         except (ValueError, RecursionError):
             value, end = {}, start + 1
         found.append(value)
-    # Frames fill the file; after a damaged one come its parts.
+    # Frames fill most of the file; other objects are parts of damaged frames.
     first_key = max(size, key=size.__getitem__, default="")
     if not first_key:
         return None

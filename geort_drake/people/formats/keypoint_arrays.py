@@ -5,9 +5,9 @@
 `dex_retargeting`: a list of (21, 3) arrays or None in .pkl, m: MediaPipe's world landmarks, moved to the
 wrist and rotated to axes of the palm.
 
-`mano`: (T, 21, 3) in .npy or .npz, there with optional `t`, s: wrist, three joints each of index, middle,
-little, ring finger and thumb, then their tips, m. HO-3D has them in .pkl, one file per frame or all in one,
-in the camera's frame (y up, −z forward).
+`mano`: (T, 21, 3), m, in .npy or .npz (the latter with optional `t`, s): wrist, three joints each of index,
+middle, little, ring finger and thumb, then the tips of thumb to little finger. HO-3D stores them in .pkl, one
+file per frame or all in one, in the camera's frame (y up, −z forward).
 
 An array in .npy is `mano` if its distances fit that order, `geort` if the hands are in H, otherwise
 `mediapipe`.

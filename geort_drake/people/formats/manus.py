@@ -2,15 +2,15 @@
 
 Raw skeletons: `data` (T, 25, 7) of `px py pz qw qx qy qz`, m, and Unix `timestamps`, s. Nodes: wrist 0;
 thumb 1-4 (CMC, MCP, IP, tip); then five each of index, middle, ring and little finger: metacarpal base,
-MCP, PIP, DIP, tip. Optional `keypoint_ids` (25) give their order and `chirality` the side. Quaternions are
-not used.
+MCP, PIP, DIP, tip. Optional `keypoint_ids` (25) give the nodes' order, `chirality` the side. Quaternions are
+ignored.
 Source: https://github.com/mimicrobotics/mimic_retargeter_lab, whose published recordings these are.
 
 CSV: `Elapsed_Time_In_Milliseconds` and joint positions. `Hand_X` is documented for Core 2.4 without a unit
 (metres are assumed), `Hand_Position_X` in centimetres in published exports. A finger's `CMC` is the base of
 its metacarpal. MANUS documents neither axes nor side. Published exports contain one hand each; the file's
-name ends with `_L` or `_R`. The axes are chosen at the export. Left-handed axes are recognised by the fingers
-bending backwards; then x is negated. Without a tracker, the ends of the palm never move.
+name ends with `_L` or `_R`. The user chooses the axes at export. If the fingers bend backwards, the axes are
+left-handed, and x is negated. Without a tracker, the ends of the palm never move.
 Source: https://docs.manus-meta.com/2.4.0/Software/Rec/Exporting%20csv for the first names, and
 https://github.com/jeannebelorgey/Metaglove-Ergo-Analysis/tree/main/data for the second and all else
 """
@@ -44,10 +44,10 @@ def keypoints_of_nodes(p_WN: np.ndarray, numbers: Sequence[int] = range(NODE_COU
 
     Args:
         p_WN: the nodes, in any frame W and unit.
-        numbers: of each node.
+        numbers: number of each node, a permutation of 0 to 24.
 
     Raises:
-        ValueError: the numbers are not those of all nodes.
+        ValueError: the numbers are no such permutation.
     """
     if not isinstance(numbers, Sequence) or sorted(numbers) != list(range(NODE_COUNT)):
         raise ValueError(f"must be the numbers 0 to {NODE_COUNT - 1} in some order")
@@ -99,7 +99,7 @@ def _read_csv(file: Source, side: str) -> Tracks:
 
 
 def _numbers(file: Source, columns: list[str]) -> np.ndarray:
-    """Numbers (T, len(columns)) of a table; NaN where a cell is empty, or the row cannot be read."""
+    """Returns the numbers (T, len(columns)) of a table; NaN if a cell is empty or its row unreadable."""
     header = file.contents.header
     places = [header.index(column) for column in columns]
 

@@ -1,18 +1,18 @@
 """MediaPipe's 21 world landmarks: JSON of its results, or (T, 21, 3) in .npy or .npz.
 
-World landmarks are metres from the middle of the hand, x to the right of the picture, y down, z away from the
-camera; they do not say where the wrist is. Landmarks of the picture ("normalized") are not metric.
+World landmarks are in m from the middle of the hand, x to the right of the image, y down, z away from the
+camera; they do not give the wrist's position. Image landmarks ("normalized") are not metric.
 
 JSON: a list of results, or `{"frames": [...]}`, each with the fields of `HandLandmarkerResult`:
 `worldLandmarks` (Python: `hand_world_landmarks`) with 21 points per hand seen, `handedness` with one category
 each, and `timestampMs` (or `timestamp_ms`). An .npz contains `world_landmarks` and optionally `t`, s, and
 `handedness`.
 
-Many versions label hands as if the image were mirrored. The side is therefore found from the bending of the
-fingers; the label counts only if they hardly bend.
+Many versions label hands as if the image were mirrored. The side is therefore determined from how the fingers
+bend; the label decides only if they hardly bend.
 
 Source: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker,
-https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult, and of the labels
+https://ai.google.dev/edge/api/mediapipe/js/tasks-vision.handlandmarkerresult, and for the labels
 https://github.com/google-ai-edge/mediapipe/issues/1374
 """
 
@@ -30,15 +30,15 @@ from geort_drake.people.recording import SIDES
 
 _SHAPE = (KEYPOINT_COUNT, 3)
 _WORLD = ("worldLandmarks", "hand_world_landmarks", "multi_hand_world_landmarks", "multiHandWorldLandmarks")
-_PICTURE = ("landmarks", "hand_landmarks", "multi_hand_landmarks", "multiHandLandmarks")
+_IMAGE = ("landmarks", "hand_landmarks", "multi_hand_landmarks", "multiHandLandmarks")
 _HANDEDNESS = ("handedness", "handednesses", "multi_handedness", "multiHandedness")
 _LABEL = ("categoryName", "category_name", "label", "displayName", "display_name")
 
 
 def _is_mediapipe(contents: Any) -> bool:
-    if any_frame(contents, lambda frame: any(field in frame for field in (*_WORLD, *_PICTURE))):
+    if any_frame(contents, lambda frame: any(field in frame for field in (*_WORLD, *_IMAGE))):
         return True
-    # Any .npy, whose shape reading judges.
+    # Any .npy fits; reading checks its shape.
     return isinstance(contents, Mapping) and ("world_landmarks" in contents or contents.keys() == {"data"})
 
 
@@ -57,12 +57,12 @@ def _read_mediapipe(file: Source, side: str) -> Tracks:
 
 
 def _label_of_side(file: Source, seen: Mapping[str, np.ndarray], side: str) -> str:
-    """Which of the labelled hands (T, 21, 3) is of that side, by the bending of its fingers."""
+    """Returns the label of the hand (T, 21, 3) whose fingers bend as those of the requested side."""
     fitting = [label for label, p_WK in seen.items() if bent_side(p_WK, label) == side]
     if not fitting and side not in seen:
         what = f"the file's hand is labelled {next(iter(seen))}, and its fingers do not bend as a "
         raise file.error(what + f"{side} one's; a {side} one was requested")
-    # Of a hand whose label changes, the longer part. The checks name what does not fit.
+    # If a hand's label changes, its longer part is read. The checks report what does not fit.
     label = max(fitting, key=lambda label: np.isfinite(seen[label]).sum()) if fitting else side
     if label != side:
         what = f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because "
@@ -73,11 +73,11 @@ def _label_of_side(file: Source, seen: Mapping[str, np.ndarray], side: str) -> s
 
 
 def _hands(frame: Any, side: str) -> np.ndarray | None:
-    """Landmarks (2, 21, 3) of a frame's left and right hand; without a label, it is of the requested side."""
+    """Returns landmarks (2, 21, 3) of the left and right hand; an unlabelled hand has the requested side."""
     if not isinstance(frame, Mapping):
         raise BadFrame(f"expected an object, not {frame!r:.40}")
     hands = _list(frame, _WORLD)
-    if not hands and _list(frame, _PICTURE):
+    if not hands and _list(frame, _IMAGE):
         raise BadFrame(
             "contains image landmarks (normalized), which are not metric; save the world landmarks "
             f"({_WORLD[0]})"
@@ -86,7 +86,7 @@ def _hands(frame: Any, side: str) -> np.ndarray | None:
     if len(labels) != len(hands) or not set(labels) <= set(SIDES):
         raise BadFrame(f"handedness must be left or right for each of {len(hands)} hands, not {labels!r:.60}")
     seen = np.full((2, *_SHAPE), np.nan)
-    # Of two hands with one label, the first.
+    # If two hands have the same label, the first is kept.
     for label, hand in reversed(list(zip(labels, hands, strict=True))):
         seen[SIDES.index(label)] = _landmarks(hand)
     return seen if hands else None
@@ -105,7 +105,7 @@ def _landmarks(hand: Any) -> np.ndarray:
 
 
 def _list(frame: Mapping, fields: Sequence[str]) -> list:
-    """The first of the fields that is not empty."""
+    """Returns the first of the fields that is not empty, a list."""
     value: Any = next((frame[field] for field in fields if frame.get(field)), [])
     if not isinstance(value, list):
         raise BadFrame(f"{fields[0]} must be a list, not {value!r:.40}")
@@ -113,7 +113,7 @@ def _list(frame: Mapping, fields: Sequence[str]) -> list:
 
 
 def _label(value: Any) -> str:
-    """left or right from a category, a list of one, or its name alone."""
+    """Returns "left" or "right" from a category, a list of categories or a name."""
     while isinstance(value, list) and value:
         value = value[0]
     if isinstance(value, Mapping):

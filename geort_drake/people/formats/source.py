@@ -1,4 +1,4 @@
-"""Types that format readers work with: checked access to a file's contents, and its result.
+"""Types for format readers: checked access to a file's contents, and the result of reading.
 
 Readers raise RecordingError only if the meaning of a file is ambiguous. Faults of single frames are collected
 in `Source.faults`; these frames become invalid and are reported.
@@ -25,8 +25,8 @@ from geort_drake.people.formats.contents import (
 )
 from geort_drake.people.recording import SIDES, Recording
 
-# Of hands with 25 joints: wrist, four of the thumb, then five per finger, whose first one, the base of the
-# metacarpal, is not among the 21 keypoints.
+# The keypoints among 25 joints: wrist, four of the thumb, then five per finger. A finger's first joint, the
+# base of the metacarpal, is no keypoint.
 KEYPOINTS_OF_25 = tuple(i for i in range(25) if i not in (5, 10, 15, 20))
 
 NO_HAND, UNREADABLE = "show no hand", "cannot be read"
@@ -42,10 +42,10 @@ class Tracks:
 
     Attributes:
         p_WK: (T, 21, 3) keypoints in the file's frame W and unit; NaN where the hand was lost.
-        t: (T,) times of the frames, s, NaN if a frame has none; None if the file has none: 30 Hz are assumed.
+        t: (T,) times of the frames, s, NaN if a frame has none; None if the file has none (30 Hz assumed).
         world: whether W is fixed in space; if so, the wrist pose is kept.
-        side: the side that the file states, or None; a contradiction of the requested side is refused.
-        unit: of p_WK, m, cm, mm or inch, unless the user names another.
+        side: the side that the file states, or None; it must agree with the requested side.
+        unit: unit of p_WK (m, cm, mm or inch) unless the user names another.
     """
 
     p_WK: np.ndarray
@@ -59,10 +59,10 @@ class Format(NamedTuple):
     """One format of recordings.
 
     Attributes:
-        title: a few words for lists.
-        suffixes: of its files.
-        recognizes: whether the contents of a file with such a suffix are of this format.
-        read: takes the file and the requested side.
+        title: short description for lists.
+        suffixes: suffixes of its files, lower-case.
+        recognizes: tells whether the contents of a file with such a suffix have this format.
+        read: reads the hand of the requested side from a file.
     """
 
     title: str
@@ -76,10 +76,10 @@ class Source:
     """A file while it is read.
 
     Attributes:
-        name: for messages.
-        contents: a dict of arrays (.npz; of .npy with the one name "data"), a `Table` (.csv), or the objects
-            of a JSON or pickle file.
-        faults: of single frames.
+        name: name of the file in messages.
+        contents: a dict of arrays (.npz, or .npy with the single name "data"), a `Table` (.csv), or the
+            objects of a JSON or pickle file.
+        faults: faults of single frames.
         findings: faults and repairs of the file as a whole.
     """
 
@@ -89,12 +89,12 @@ class Source:
     findings: list[Finding] = dataclasses.field(default_factory=list)
 
     def error(self, what: str) -> RecordingError:
-        """An error that names the file."""
+        """Makes an error that names the file."""
         return RecordingError(f"{self.name}: {what}")
 
     @property
     def header(self) -> Mapping[str, Any]:
-        """The fields outside the frames."""
+        """Fields outside the frames."""
         return self.contents if isinstance(self.contents, Mapping) else {}
 
     def has(self, field: str) -> bool:
@@ -106,12 +106,12 @@ class Source:
         return [frame.get(field) if isinstance(frame, Mapping) else None for frame in frames]
 
     def array(self, field: str, *shapes: tuple[int, ...], count: int | None = None) -> np.ndarray:
-        """A field of every frame as floats (T, ...), from an archive's array or a list of frames.
+        """Returns a field of every frame as floats (T, ...), from an archive's array or a list of frames.
 
         Args:
-            field: its name.
-            shapes: those that one frame may have.
-            count: T, where it is known.
+            field: name of the field.
+            shapes: permitted shapes of one frame.
+            count: T, if it is known.
         """
         if field in self.header:
             array = np.asarray(self.header[field])
@@ -134,7 +134,7 @@ class Source:
     def each(
         self, values: Sequence[Any], read: Callable[[Any], Any], shape: tuple[int, ...], field: str
     ) -> np.ndarray:
-        """The numbers (T, *shape) that `read` returns for each frame; NaN where it returns none.
+        """Returns the numbers (T, *shape) that `read` returns for each frame; NaN where it returns none.
 
         `read` returns None if a frame shows no hand, and raises BadFrame if the frame cannot be read.
 
@@ -162,11 +162,11 @@ class Source:
         return result
 
     def times(self, count: int, unit_s: float = 1.0) -> np.ndarray | None:
-        """The times of `count` frames, s, from the file's field t, timestamps, timestamp or time; or None.
+        """Returns the times (T,) of the frames, s, from the file's time field (see `_TIME_FIELDS`), or None.
 
         Args:
-            count: of frames.
-            unit_s: the unit of times within frames; an archive's array is in s.
+            count: T, the number of frames.
+            unit_s: unit of times within frames, s; an archive's array is in s.
         """
         field = next((name for name in _TIME_FIELDS if self.has(name)), None)
         if field is None:
@@ -178,7 +178,7 @@ class Source:
         return t if np.isfinite(t).any() else None
 
     def side(self) -> str | None:
-        """The side that the file states, or None.
+        """Returns the side that the file states, or None.
 
         Raises:
             RecordingError: it states neither left nor right.
@@ -192,13 +192,13 @@ class Source:
         return side
 
     def positions(self, field: str, p: np.ndarray, column_major: bool = False) -> np.ndarray:
-        """Positions (T, J, 3) of joints given as points, poses or transforms.
+        """Returns positions (T, J, 3) of joints given as points, poses or transforms.
 
         Args:
-            field: name for messages.
-            p: (T, J, 3) points; (T, J, 7) `px py pz` and a quaternion, which is not used; (T, J, 4, 4)
-                transforms; or (T, J, 16) and (T, J * 16), the transforms' numbers in a row.
-            column_major: whether numbers in a row stand column by column, as graphics APIs give them.
+            field: name of the field in messages.
+            p: (T, J, 3) points; (T, J, 7) `px py pz` and a quaternion, which is ignored; (T, J, 4, 4)
+                transforms; or (T, J, 16) or (T, J * 16), flattened transforms.
+            column_major: whether flattened transforms are column-major, as in graphics APIs.
         """
         if p.shape[-1] in (3, 7):
             return p[..., :3]
@@ -206,22 +206,22 @@ class Source:
         return self.transforms(field, X, column_major and p.ndim < 4)[..., :3, 3]
 
     def lose(self, bad: np.ndarray, known: np.ndarray, what: str) -> None:
-        """Marks frames, a mask (T,), as unreadable; raises if they are over half of the `known` ones."""
+        """Marks `bad` frames (T,) as unreadable; raises RecordingError if over half of `known` are."""
         if bad.sum() > 0.5 * known.sum():
             raise self.error(what)
         self.faults.add(UNREADABLE, np.flatnonzero(bad), what)
 
     def transforms(self, field: str, X: np.ndarray, column_major: bool = False) -> np.ndarray:
-        """Homogeneous transforms (T, J, 4, 4) with the translation in the last column, transposed if needed.
+        """Returns transforms X (T, J, 4, 4) with the translation in the last column, transposed if needed.
 
         Raises:
-            RecordingError: most have 0 0 0 1 neither as last row nor as last column.
+            RecordingError: most frames have 0 0 0 1 neither as last row nor as last column.
         """
         end = np.array([0.0, 0.0, 0.0, 1.0])
         known = np.isfinite(X).all(axis=(1, 2, 3)) & ~empty_frames(X)
         upright = np.isclose(X[..., 3, :], end, atol=1e-5).all(axis=(1, 2))
         turned = np.isclose(X[..., :, 3], end, atol=1e-5).all(axis=(1, 2))
-        # A matrix without translation may be either.
+        # A matrix without translation fits both.
         uprights, turns = int((known & upright & ~turned).sum()), int((known & turned & ~upright).sum())
         bad = known & ~(turned if turns > uprights else upright)
         self.lose(bad, known, f"{field} must be rigid transforms, whose last row is 0 0 0 1")
@@ -234,8 +234,8 @@ class Source:
 
 
 def _relative(stamps: Sequence[Any], unit_s: float) -> np.ndarray:
-    """Times (T,), s, from the first; NaN for what is no number."""
-    # JSON's integers have no bound.
+    """Returns times (T,), s, since the first stamp (the median if that is far off); NaN without a number."""
+    # JSON's integers are unbounded.
     known = [isinstance(stamp, int | float) and -1e300 < stamp < 1e300 for stamp in stamps]
     numbers = sorted(itertools.compress(stamps, known))
     if not numbers:

@@ -1,4 +1,4 @@
-"""Unpickles plain data only: NumPy arrays and Python's own containers, and nothing that runs code.
+"""Unpickles plain data only: NumPy arrays, Python's containers, numbers and strings; never runs code.
 
 NumPy does not check the shapes and types in a pickle, and wrong ones crash the process. Checked stand-ins
 therefore replace its functions.
@@ -17,18 +17,18 @@ from geort_drake.errors import RecordingError
 
 
 class ForbiddenPickle(Exception):
-    """A pickle names something other than plain data, which is not run."""
+    """A pickle names something other than plain data."""
 
 
 def _latin1(text: str, encoding: str) -> bytes:
-    """Makes bytes for the older protocols; other codecs would let a small file grow without bound."""
+    """Encodes bytes of older pickle protocols; other codecs could expand a small file without bound."""
     if encoding not in ("latin1", "latin-1"):
         raise ForbiddenPickle(f"_codecs.encode to {encoding:.20}")
     return text.encode("latin1")
 
 
 class _Type:
-    """A NumPy type of numbers, texts or objects; NumPy's own is `dtype`."""
+    """Stand-in for `numpy.dtype`, limited to numbers, strings and objects; `dtype` is NumPy's own."""
 
     def __init__(self, code: str, *_: object):
         if not re.fullmatch(r"b1|[iufc][0-9]{1,2}|[SU][0-9]{1,6}|O8", code):
@@ -38,12 +38,12 @@ class _Type:
     def __setstate__(self, state: tuple) -> None:
         _, order, *structure = state
         if order not in ("<", ">", "=", "|") or any(part is not None for part in structure[:3]):
-            raise ValueError("the type of an array is not one of numbers or texts")
+            raise ValueError("the type of an array is not one of numbers or strings")
         self.dtype = self.dtype.newbyteorder(order)
 
 
 class _Array(np.ndarray):
-    """An array that is empty until its state is set."""
+    """Stand-in for `numpy.ndarray`; empty until its state is set."""
 
     def __new__(cls, _: object = None, shape: tuple = (), *more: object) -> "_Array":
         if shape != (0,):
@@ -82,8 +82,8 @@ def _from_buffer(content: bytes | str, kind: _Type, shape: tuple, *order: object
     return values.reshape(shape, order="F" if order[:1] == ("F",) else "C")
 
 
-# What the pickles of arrays and scalars of NumPy 1 and 2 name, and what stands in for it. Other containers,
-# numbers and texts need no name.
+# The names in pickles of NumPy 1 and 2 arrays and scalars, and their stand-ins. Containers, numbers and
+# strings of Python need no name.
 _STAND_INS: dict[tuple[str, str], Callable] = {
     ("numpy", "ndarray"): _Array,
     ("numpy", "dtype"): _Type,
@@ -106,14 +106,14 @@ class _PlainUnpickler(pickle.Unpickler):
 
 
 def load_plain(path: Path) -> Any:
-    """The contents of a pickle file that contains only arrays, containers, numbers and texts.
+    """Returns the contents of a pickle file that contains only arrays, containers, numbers and strings.
 
     Raises:
-        RecordingError: the file is no pickle, or names anything else; then its cause is `ForbiddenPickle`.
+        RecordingError: the file is no pickle, or names anything else (the cause is then `ForbiddenPickle`).
     """
     try:
         with path.open("rb") as file, np.errstate(all="ignore"):
-            # Pickles of Python 2 (HO-3D's) store their arrays' bytes as text of this encoding.
+            # Python 2 pickles (HO-3D's) store the bytes of arrays as text in this encoding.
             return _PlainUnpickler(file, encoding="latin1").load()
     except ForbiddenPickle as forbidden:
         raise RecordingError(

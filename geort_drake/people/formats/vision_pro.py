@@ -1,18 +1,17 @@
 """Apple Vision Pro: 4 x 4 transforms of joints in the wrist's frame, and of the wrist in the world.
 
 `avp_stream` gives `right_fingers` (T, 25 or 27, 4, 4) or `right_arm` (T, 27, 4, 4), m: wrist 0, thumb 1-4,
-then five each of index, middle, ring and little finger, from the metacarpal to the tip. Of 27 the last two
-are of the forearm, or in other releases the first two: the wrist's own transform is the identity.
-`right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world, z up. The same with `left_`, in .npz or as
-a .pkl with one dict per frame.
+then five each of index, middle, ring and little finger, from the metacarpal to the tip. Two of 27 joints
+belong to the forearm: the last two, or in other releases the first two. The wrist's own transform is the
+identity. `right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world, z up. Left hands use `left_`.
+Files are .npz, or .pkl with one dict per frame.
 
 The app's own `tracking.jsonl` has a line per frame with `timestamp`, s, and `rightHand` and `leftHand`:
-joints by name, 16 numbers each, column by column; `wrist` in the world, y up, the others from the wrist.
-
+joints by name, 16 numbers each, column-major; `wrist` in the world, y up, the others in the wrist's frame.
 A hand that is not seen has identity matrices everywhere; such frames are lost.
 
-Source: https://github.com/Improbable-AI/VisionProTeleop, README and avp_stream/utils/grpc_utils.py, and of
-tracking.jsonl Tracking Streamer/RecordingManager.swift
+Source: https://github.com/Improbable-AI/VisionProTeleop, README and avp_stream/utils/grpc_utils.py; for
+tracking.jsonl, Tracking Streamer/RecordingManager.swift
 """
 
 from collections.abc import Mapping
@@ -26,7 +25,7 @@ from geort_drake.people.recording import SIDES
 
 _FIELDS = ("fingers", "arm")
 _APP_HANDS = [f"{side}Hand" for side in SIDES]
-# The 21 keypoints by the names of tracking.jsonl.
+# Names of the 21 keypoints in tracking.jsonl.
 _APP_JOINTS = ("wrist",) + tuple(
     f"{finger}{joint}"
     for finger in ("thumb", "index", "middle", "ring", "little")
@@ -35,7 +34,7 @@ _APP_JOINTS = ("wrist",) + tuple(
 
 
 def _is_app(contents: Any) -> bool:
-    """Whether these are the lines of a tracking.jsonl; some may show no hand."""
+    """Whether these are the frames of a tracking.jsonl; some of them may show no hand."""
     return any_frame(contents, lambda frame: any(hand in frame for hand in _APP_HANDS))
 
 
@@ -50,7 +49,7 @@ def _read_vision_pro(file: Source, side: str) -> Tracks:
         return _read_app(file, side)
     field = next((name for end in _FIELDS if file.has(name := f"{side}_{end}")), f"{side}_fingers")
     X_JK = file.transforms(field, file.array(field, (25, 4, 4), (27, 4, 4)))
-    X_JK = X_JK[:, _wrist_place(file, field, X_JK) :][:, KEYPOINTS_OF_25]
+    X_JK = X_JK[:, _wrist_index(file, field, X_JK) :][:, KEYPOINTS_OF_25]
     p_JK, t, wrist = X_JK[..., :3, 3], file.times(len(X_JK)), f"{side}_wrist"
     if not file.has(wrist):
         return Tracks(p_JK, t, side=side)
@@ -70,19 +69,19 @@ def _read_app(file: Source, side: str) -> Tracks:
     return Tracks(p_WK, file.times(len(rows)), world=True, side=side)
 
 
-def _wrist_place(file: Source, field: str, X_JK: np.ndarray) -> int:
-    """Which joint is the wrist, from which the others are measured: the one that never moves."""
+def _wrist_index(file: Source, field: str, X_JK: np.ndarray) -> int:
+    """Returns the index of the wrist, whose own transform stays the identity."""
     known = np.isfinite(X_JK).all(axis=(1, 2, 3)) & ~empty_frames(X_JK)
-    places = (0,) if X_JK.shape[1] == 25 else (0, 2)
-    moved = np.abs(X_JK[:, places] - np.eye(4)).max(axis=(2, 3), initial=0.0) > 1e-3
-    place = int(np.argmin(moved[known].sum(axis=0)))
+    candidates = (0,) if X_JK.shape[1] == 25 else (0, 2)
+    moved = np.abs(X_JK[:, candidates] - np.eye(4)).max(axis=(2, 3), initial=0.0) > 1e-3
+    row = int(np.argmin(moved[known].sum(axis=0)))
     what = f"{field} must be joints in the wrist's frame, where the wrist's own transform is the identity"
-    file.lose(moved[:, place] & known, known, what)
-    return places[place]
+    file.lose(moved[:, row] & known, known, what)
+    return candidates[row]
 
 
 def _in_world(file: Source, field: str, X_WJ: np.ndarray, p_JK: np.ndarray) -> np.ndarray:
-    """p_WK (T, K, 3) of joints p_JK (T, K, 3) in the wrist's frame J, whose poses are X_WJ (T, 4, 4)."""
+    """Returns p_WK (T, K, 3) of joints p_JK (T, K, 3) in the wrist's frame J, with poses X_WJ (T, 4, 4)."""
     R = X_WJ[:, :3, :3]
     known = np.isfinite(R).all(axis=(1, 2)) & ~empty_frames(R)
     finite = np.where(known[:, None, None], R, np.eye(3))

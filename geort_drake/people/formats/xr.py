@@ -1,17 +1,17 @@
 """Hand joints of OpenXR (26) and WebXR (25), in .npz or JSON.
 
 OpenXR's order: palm, wrist, four of the thumb, then five each of index, middle, ring and little finger from
-the metacarpal to the tip, each the base of the bone of that name. WebXR's is the same without the palm.
-Positions are in m, in a space with y up.
+the metacarpal to the tip. Each joint is the base of the bone that names it. WebXR's order is the same without
+the palm. Positions are in m, in a space with y up.
 
 OpenXR .npz: `joints` (T, 26, 3), (T, 26, 7) with `px py pz qx qy qz qw`, or (T, 26, 4, 4); optionally `t`,
 s, `valid` (T, 26) and `hand`. JSON: `{"hand": "right", "frames": [{"time": ns, "joints": [...]}]}`, each
-joint an XrHandJointLocationEXT. Where `isActive` is false or joints are none, the hand is lost.
+joint an XrHandJointLocationEXT. If `isActive` is false or there are no joints, the hand is lost.
 Source: https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointEXT.html and
 https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointLocationEXT.html
 
-WebXR .npz: `joints` (T, 25, 3), (T, 25, 7), or (T, 400) as `XRFrame.fillPoses` fills them, column by
-column; optionally `t`, s, and `handedness`. JSON: `{"handedness": "right", "frames": [{"time": ms,
+WebXR .npz: `joints` (T, 25, 3), (T, 25, 7), or (T, 400) as `XRFrame.fillPoses` fills them,
+column-major; optionally `t`, s, and `handedness`. JSON: `{"handedness": "right", "frames": [{"time": ms,
 "joints": {"wrist": {...}, ...}}]}`, each joint with `position` or null; or `poses`, 400 numbers.
 Source: https://www.w3.org/TR/webxr-hand-input-1/ and
 https://developer.mozilla.org/en-US/docs/Web/API/XRFrame/fillPoses
@@ -37,17 +37,17 @@ _JOINTS = (
 
 
 def _is_openxr(contents: Any) -> bool:
-    lists, objects = _kinds(contents)
+    lists, objects = _count_kinds(contents)
     return shape_in(contents, "joints")[1:2] in ((26,), (416,)) or lists > objects
 
 
 def _is_webxr(contents: Any) -> bool:
-    lists, objects = _kinds(contents)
+    lists, objects = _count_kinds(contents)
     return shape_in(contents, "joints")[1:2] in ((25,), (400,)) or objects > lists
 
 
-def _kinds(contents: Any) -> tuple[int, int]:
-    """Numbers of frames with a list of joints (OpenXR), and with an object of joints or poses (WebXR)."""
+def _count_kinds(contents: Any) -> tuple[int, int]:
+    """Counts frames with a list of joints (OpenXR), and those with an object of joints or poses (WebXR)."""
     frames = [frame for frame in frames_of(contents) if isinstance(frame, Mapping)]
     lists = sum(isinstance(frame.get("joints"), list) for frame in frames)
     return lists, sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in frames)
@@ -83,7 +83,7 @@ def _points(frame: Any, names: tuple[str, ...]) -> list | None:
 
 
 def _point(joint: Any) -> Any:
-    """The position of a joint, from the joint or its pose; NaN if its flags mark it as lost."""
+    """Returns the position of a joint, from the joint or its pose; NaN if its flags mark it as lost."""
     if isinstance(joint, Mapping):
         flags = joint.get("locationFlags", _POSITION_VALID)
         if not isinstance(flags, int):
