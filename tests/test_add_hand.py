@@ -204,7 +204,7 @@ def _as_it_is(description):
 # Changes to the text of a model and to its description, and what the checks find then.
 FAULTS = {
     "degrees": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="0.01"'}, _as_it_is, "moves only from 0 to 1 deg"),
-    "turn": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="90"'}, _as_it_is, "more than a turn"),
+    "turn": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="90"'}, _as_it_is, "more than a full turn"),
     "bare": ({"<(/?)collision>": r"<\1drawn>"}, _as_it_is, "no collision geometry"),
     "massless": ({"<inertial>.*?</inertial>": ""}, _as_it_is, "links without mass"),
     "palm": ({'"0.02 0.066 0.08"': '"0.02 0.066 0.16"'}, _as_it_is, "touch in"),

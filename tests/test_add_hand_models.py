@@ -350,9 +350,9 @@ def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fing
     ("arm_joints", "legs", "hands", "message"),
     [
         (7, 2, ("left", "right"), "of 'torso', 'left_palm', 'right_palm'; give the palm as --palm"),
-        (2, 0, ("left", "right"), "leave each of 'torso', 'left_palm', 'right_palm'"),
-        (0, 0, ("left", "right"), "6 chains of joints leave its palm, the link 'torso'"),
-        (7, 2, ("right",), "leave each of 'torso', 'right_palm'"),
+        (2, 0, ("left", "right"), "start at each of 'torso', 'left_palm', 'right_palm'"),
+        (0, 0, ("left", "right"), "6 chains of joints start at its palm, the link 'torso'"),
+        (7, 2, ("right",), "start at each of 'torso', 'right_palm'"),
     ],
     ids=["humanoid", "two short arms", "no arms", "one hand with legs"],
 )

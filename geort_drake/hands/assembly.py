@@ -41,19 +41,19 @@ from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 def add_hand_model(
     plant: MultibodyPlant, description: HandDescription, name: str | None = None
 ) -> ModelInstanceIndex:
-    """Adds a hand, not yet attached to anything, to a plant that is not finalized.
+    """Adds a hand to a plant without attaching it to anything.
 
-    A joint that no finger lists and that follows no other is welded at its default position. Followers have
-    no motor; in a discrete plant a coupler constraint drives them. The hand base is a frame of the model's
+    Joints that no finger lists and that follow no other are welded at their default positions. Followers have
+    no motor; in a discrete plant, coupler constraints drive them. The hand base is a frame of the model
     instance, named as in the description.
 
     Args:
-        plant: to which the hand is added; it has a scene graph.
-        description: of the hand.
-        name: of the model instance; by default the model's.
+        plant: the plant, not finalized and registered with a scene graph.
+        description: the hand.
+        name: name of the model instance; by default the model's.
 
     Raises:
-        HandError: the model is missing or malformed, or lacks something that the description names.
+        HandError: the model is missing or malformed, or lacks an element that the description names.
     """
     path = resolve_uri(description.model)
     source = f"hand '{description.name}' with model {path}"
@@ -63,7 +63,7 @@ def add_hand_model(
     hand = parse_model(plant, path, source)
     if name is not None:
         plant.RenameModelInstance(hand, name)
-    # Drake removes no joint while there are constraints. Couplings are added again below.
+    # Drake cannot remove joints while there are constraints. Couplings are added again below.
     for constraint in set(plant.GetConstraintIds()) - constraints:
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
@@ -79,8 +79,8 @@ def add_hand_model(
         for coupling in couplings:
             joints = [plant.GetJointByName(name, hand) for name in (coupling.joint, coupling.follows)]
             plant.AddCouplerConstraint(*joints, coupling.ratio, coupling.offset)
-    _ignore_collisions(plant, hand, description, source)
-    # The hand must not collide with a floor that its own model file has.
+    _filter_collisions(plant, hand, description, source)
+    # The hand must not collide with a floor in its own model file.
     if added := set(_world_geometries(plant)) - surroundings:
         bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
         own = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
@@ -90,11 +90,11 @@ def add_hand_model(
 
 
 def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstanceIndex:
-    """Adds the one model of a file; its packages are looked for in the folders above it.
+    """Adds the only model of a file; searches its packages in the folders above it.
 
     Raises:
-        HandError: the file is not one model that Drake reads, or contains bad values; or it or a mesh is a
-            Git LFS pointer.
+        HandError: the file is not a single model that Drake can read, or contains bad values; or it or a mesh
+            is a Git LFS pointer.
     """
     tree = read_model(path)
     for _, mesh in mesh_elements(path, tree):
@@ -111,8 +111,8 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
             (hand,) = parser.AddModelsFromString(ET.tostring(tree, encoding="unicode"), "xml")
         else:
             (hand,) = parser.AddModels(path)
-    except (RuntimeError, ValueError, SystemExit) as error:  # a failed assertion of Drake exits
-        raise HandError(f"{source}: not one readable model: {error}") from error
+    except (RuntimeError, ValueError, SystemExit) as error:  # failed assertions in Drake exit
+        raise HandError(f"{source}: not a single readable model: {error}") from error
     scene_graph = parser.scene_graph()
     inspector = scene_graph.model_inspector() if scene_graph is not None else None
     check_model_values(model_files(plant, inspector, hand, path), source)
@@ -120,16 +120,16 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
 
 
 def detach_from_world(plant: MultibodyPlant, hand: ModelInstanceIndex) -> None:
-    """Removes the joints, welds or floating ones, between a model and the world."""
+    """Removes the joints between a model and the world, including welds and floating joints."""
     for joint in _joints(plant, hand):
         if joint.parent_body().index() == plant.world_body().index():
             _remove_joint(plant, joint)
 
 
 def remove_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, root: Context) -> None:
-    """Removes visual geometry from a diagram's context, so that no step has to place it.
+    """Removes visual geometry from a diagram's context, which saves updates of its poses.
 
-    The model keeps it.
+    The model keeps the geometry.
     """
     context = scene_graph.GetMyMutableContextFromRoot(root)
     inspector = scene_graph.get_query_output_port().Eval(context).inspector()
@@ -140,7 +140,7 @@ def remove_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, root: Context
 
 
 def require_name(source: str, field: str, kind: str, name: str, choices: Iterable[str]) -> None:
-    """Raises HandError, listing the choices, unless the model has what a field names."""
+    """Raises HandError, with the choices, unless a name given in a field is among them."""
     listed = [choice for choice in choices if choice]
     if name not in listed:
         raise HandError(
@@ -150,10 +150,10 @@ def require_name(source: str, field: str, kind: str, name: str, choices: Iterabl
 
 
 def find_frame(plant: MultibodyPlant, hand: ModelInstanceIndex, name: str, source: str, field: str) -> Frame:
-    """The frame or link of a hand that a field of its description names.
+    """Returns the frame or link of a hand that a field of its description names.
 
     Raises:
-        HandError: the hand has none of this name.
+        HandError: the hand has no frame or link of this name.
     """
     frames = [plant.get_frame(index).name() for index in plant.GetFrameIndices(hand)]
     require_name(source, field, "frame or link", name, frames)
@@ -187,7 +187,7 @@ def _add_base(
 def _set_default_positions(
     plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
 ) -> None:
-    """Sets the description's default positions, and those of followers."""
+    """Sets the description's default positions, and matching ones of followers."""
     for name, position in description.default_positions.items():
         _axial_joint(plant, hand, name, source, "default_positions").set_default_positions([position])
     for coupling in resolved_couplings(description.couplings):
@@ -223,7 +223,7 @@ def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
 
 
 def _actuate(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription) -> None:
-    """Gives motors to the joints that fingers list, and to no others, with the description's gains."""
+    """Gives the joints that fingers list motors with the description's gains; removes those of followers."""
     for coupling in followers(description):
         _remove_actuators(plant, plant.GetJointByName(coupling.joint, hand))
     gains = description.actuation
@@ -256,13 +256,13 @@ def _remove_actuators(plant: MultibodyPlant, joint: Joint) -> None:
 def _axial_joint(
     plant: MultibodyPlant, hand: ModelInstanceIndex, name: str, source: str, field: str
 ) -> Joint:
-    """A joint with one position."""
+    """Returns a joint with a single position."""
     choices = [joint.name() for joint in _joints(plant, hand) if joint.num_positions() == 1]
     require_name(source, field, "revolute or prismatic joint", name, choices)
     return plant.GetJointByName(name, hand)
 
 
-def _ignore_collisions(
+def _filter_collisions(
     plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
 ) -> None:
     names = [plant.get_body(index).name() for index in plant.GetBodyIndices(hand)]

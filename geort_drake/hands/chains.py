@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def joint_paths(plant: MultibodyPlant, model: ModelInstanceIndex) -> dict[BodyIndex, tuple[Joint, ...]]:
-    """The joints of a model, welds included, from its base to each of its links."""
+    """Returns the joints, including welds, from the base of a model to each of its links."""
     joints = map(plant.get_joint, plant.GetJointIndices(model))
     inboard = {joint.child_body().index(): joint for joint in joints}
     paths: dict[BodyIndex, tuple[Joint, ...]] = {}
@@ -36,12 +36,12 @@ def joint_paths(plant: MultibodyPlant, model: ModelInstanceIndex) -> dict[BodyIn
 def finger_links(
     plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex
 ) -> list[list[RigidBody]]:
-    """The links of each finger: all that its joints or their followers move.
+    """Returns the links of each finger: those that its joints or their followers move.
 
     Args:
-        plant: with the hand.
-        description: of the hand.
-        hand: its model instance, from `add_hand_model`.
+        plant: plant with the hand.
+        description: the hand.
+        hand: model instance of the hand, from `add_hand_model`.
     """
     finger_of = {
         joint: number for number, finger in enumerate(description.fingers) for joint in finger.joints
@@ -58,7 +58,7 @@ def finger_links(
 def palm_links(
     plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex
 ) -> list[RigidBody]:
-    """The links that no finger moves; arguments as for `finger_links`."""
+    """Returns the links that no finger moves; arguments as for `finger_links`."""
     moved = {body.index() for links in finger_links(plant, description, hand) for body in links}
     return [plant.get_body(index) for index in plant.GetBodyIndices(hand) if index not in moved]
 
@@ -69,9 +69,9 @@ class PlantFingertips:
     Not thread-safe: the object owns the context in which it computes.
 
     Args:
-        plant: finalized.
-        description: of the hand.
-        hand: its model instance.
+        plant: finalized plant with the hand.
+        description: the hand.
+        hand: model instance of the hand.
         joint_names: the n joints of the description in the order of q.
     """
 
@@ -96,7 +96,7 @@ class PlantFingertips:
         ]
 
     def __call__(self, q: np.ndarray) -> np.ndarray:
-        """p_BF (N, F, 3), m, at joint positions q (N, n), rad."""
+        """Computes fingertip points p_BF (N, F, 3), m, at joint positions q (N, n), rad."""
         rows = self._couplings.with_followers(q[:, self._columns])
         p_BF = np.empty((len(rows), len(self._tips), 3))
         for row, tips in zip(rows, p_BF, strict=True):
@@ -110,17 +110,17 @@ class PlantFingertips:
 def finger_chain(
     plant: MultibodyPlant, base: Frame, finger: FingerDescription, description: HandDescription, source: str
 ) -> "FingerChain":
-    """A finger as a serial chain, from the hand base to its tip.
+    """Makes the serial chain of a finger, from the hand base to its tip.
 
     Args:
-        plant: finalized, with the hand.
+        plant: finalized plant with the hand.
         base: the hand base B.
-        finger: of the description.
-        description: of the hand.
-        source: how errors begin.
+        finger: the finger in the description.
+        description: the hand.
+        source: beginning of error messages.
 
     Raises:
-        HandError: the joints between base and tip are other than the finger's and their followers.
+        HandError: the joints between base and tip are not exactly the finger's and their followers.
     """
     from geort_drake.retargeting.training.kinematics import FingerChain  # loads PyTorch
 
@@ -139,11 +139,11 @@ def finger_chain(
         )
     context = plant.CreateDefaultContext()
     X_PJ = np.empty((len(moving), 4, 4))
-    part = base  # the base, then the joint before
+    previous = base  # the base, then the preceding joint's frame
     for number, joint in enumerate(moving):
-        X_PJ[number] = _fixed_pose(plant, context, part, joint.frame_on_parent()).GetAsMatrix4()
-        part = joint.frame_on_child()
-    p_tip = _fixed_pose(plant, context, part, tip.body_frame()) @ np.array(finger.tip_point)
+        X_PJ[number] = _fixed_pose(plant, context, previous, joint.frame_on_parent()).GetAsMatrix4()
+        previous = joint.frame_on_child()
+    p_tip = _fixed_pose(plant, context, previous, tip.body_frame()) @ np.array(finger.tip_point)
     axes = np.stack([joint.revolute_axis() for joint in moving])
     coupling = np.zeros((len(names), len(own)))
     for row, name in enumerate(names):
@@ -171,8 +171,8 @@ def finger_chain(
     )
 
 
-def _fixed_pose(plant: MultibodyPlant, context: Context, part: Frame, other: Frame) -> RigidTransform:
-    """The pose of another frame in a part's, which links or welds hold together."""
-    if part.body().index() == other.body().index():
-        return part.GetFixedPoseInBodyFrame().inverse() @ other.GetFixedPoseInBodyFrame()
-    return plant.CalcRelativeTransform(context, part, other)
+def _fixed_pose(plant: MultibodyPlant, context: Context, frame: Frame, other: Frame) -> RigidTransform:
+    """Returns the pose of frame `other` in `frame`, rigidly connected by a link or welds."""
+    if frame.body().index() == other.body().index():
+        return frame.GetFixedPoseInBodyFrame().inverse() @ other.GetFixedPoseInBodyFrame()
+    return plant.CalcRelativeTransform(context, frame, other)

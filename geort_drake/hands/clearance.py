@@ -1,8 +1,8 @@
-"""Distances between the parts of a hand, fast enough for a control loop.
+"""Computes distances between the parts of a hand, fast enough for a control loop.
 
-Drake detects overlaps several times faster than it computes distances. So every geometry is enlarged by
-half of the clearance: where the enlarged ones do not overlap, the true ones keep the clearance. Enlarged
-boxes have sharp edges and corners, so a gap may be less than the true distance, but never more.
+Drake detects overlaps several times faster than it computes distances. Every geometry is therefore enlarged
+by half of the clearance: if two enlarged geometries do not overlap, the true ones keep it. Enlarged
+boxes keep sharp edges and corners, so a computed gap may be less than the true distance, but never more.
 """
 
 from collections.abc import Sequence
@@ -32,18 +32,18 @@ from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.collision_shapes import unsupported_shape
 from geort_drake.hands.model import HandModel
 
-# Pairs whose distance depends on this few joints are checked on a grid of this many angles per joint.
+# Pairs whose distance depends on at most two joints are checked on a grid of 13 angles per joint.
 _GRID_JOINTS, _GRID_SIZE = 2, 13
 _NEXT_AXIS, _PREVIOUS_AXIS = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 class Near(NamedTuple):
-    """The K ≥ 0 pairs of geometries that are near each other.
+    """K ≥ 0 pairs of geometries that are near each other.
 
     Attributes:
         pairs: K pairs of geometries.
-        gap: (K,) lower bound of the distance, m; negative where they may overlap.
-        gradient: (K, n) of the gap with respect to q, m/rad; approximate between two edges.
+        gap: (K,) lower bounds of the distances, m; negative where geometries may overlap.
+        gradient: (K, n) gradients of the gaps with respect to q, m/rad; approximate between two edges.
     """
 
     pairs: list[tuple[GeometryId, GeometryId]]
@@ -52,21 +52,21 @@ class Near(NamedTuple):
 
 
 class HandClearance:
-    """Gaps between the pairs of a hand's collision geometries that must keep a clearance.
+    """Computes the gaps between pairs of a hand's collision geometries that must keep a clearance.
 
-    Pairs that Drake filters and pairs of fingertips are left out. So are pairs along one finger, or of a
-    finger and the palm, with at most two joints between them, that never touch on a grid over the ranges of
-    these joints: joint limits keep them apart. A mesh is replaced by the box around its convex hull.
+    Pairs that Drake filters and pairs of fingertips are left out. Pairs within a finger, or of a finger and
+    the palm, with at most two joints between them are also left out if they never touch on a grid over the
+    ranges of these joints: joint limits keep them apart. A box around its convex hull replaces each mesh.
 
     Not thread-safe: the object owns the contexts in which it computes.
 
     Attributes:
-        pairs: those that are checked.
+        pairs: the pairs that are checked.
 
     Args:
-        hand: the model of the hand.
-        clearance: the distance to keep, m.
-        joints: the order of q; `hand.joint_names` if not given.
+        hand: model of the hand.
+        clearance: distance to keep, m.
+        joints: names of the n joints in the order of q; by default `hand.joint_names`.
 
     Raises:
         HandError: the hand has collision geometry other than boxes, spheres, cylinders, capsules and meshes.
@@ -87,7 +87,7 @@ class HandClearance:
         self._context = self._plant.GetMyContextFromRoot(self._root)
 
     def near(self, q: np.ndarray, most: int | None = None) -> Near:
-        """The pairs, or the nearest `most`, with a gap below the clearance at joint positions q (n,), rad."""
+        """Returns the pairs, or the nearest `most`, with gaps below the clearance at joint angles q (n,)."""
         found = self._hand.query(q[self._to_hand], self._root).ComputePointPairPenetration()
         if not found:
             return Near([], np.empty(0), np.empty((0, len(q))))
@@ -104,16 +104,16 @@ class HandClearance:
         return Near(pairs, gap, (self._between(first, second) * along) @ self._coupling)
 
     def joints_between(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> np.ndarray:
-        """(K, n): which joints of q the gaps of K pairs depend on."""
+        """Returns (K, n) bool: the joints of q on which the gaps of K pairs depend."""
         return self._between(*self._rows(pairs)) @ self._coupling != 0
 
     def _rows(self, pairs: Sequence[tuple[GeometryId, GeometryId]]) -> tuple[list[int], list[int]]:
-        """The numbers of the first and of the second geometry of each pair."""
+        """Returns the row numbers of the first and of the second geometry of each pair."""
         row = self._row
         return [row[id.get_value()] for id, _ in pairs], [row[id.get_value()] for _, id in pairs]
 
     def _between(self, first: Sequence[int], second: Sequence[int]) -> np.ndarray:
-        """(K, N): 1 for a joint that moves only the first geometry, −1 for one that moves only the second."""
+        """Returns (K, N): 1 if a joint moves only the first geometry, −1 if only the second, else 0."""
         return self._moves.take(first, 0) - self._moves.take(second, 0)
 
     def _read_chains(self) -> None:
@@ -130,7 +130,7 @@ class HandClearance:
             for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(index))
         ]
         self._geometries = [geometry for geometry, _ in geometries]
-        # By number, because hashing an identifier takes longer.
+        # The keys are integers, because hashing an identifier takes longer.
         self._row = {geometry.get_value(): row for row, (geometry, _) in enumerate(geometries)}
         self._moves = np.array([moves for _, moves in geometries])
         joints = [plant.GetJointByName(name, self._hand.instance) for name in names]
@@ -141,7 +141,7 @@ class HandClearance:
         self._axis_L = np.array(axes)[..., None]
 
     def _joint_axes(self) -> np.ndarray:
-        """(6, N): axes ω of the joints, and below them o × ω for their origins o, m, in the world."""
+        """Returns (6, N): the joints' axes ω and below them o × ω of their origins o, m, in the world."""
         pose = self._plant.EvalBodyPoseInWorld
         X_WL = np.array([pose(self._context, link).GetAsMatrix34() for link in self._links])
         axis = (X_WL[:, :, :3] @ self._axis_L)[..., 0]
@@ -164,7 +164,7 @@ class HandClearance:
                 pairs.append(pair)
         for joints, close in by_joints.items():
             if joints:
-                touching = self._ever_touching(root, joints)
+                touching = self._pairs_touching_on_grid(root, joints)
                 pairs += [pair for pair in close if frozenset(pair) in touching]
         return pairs
 
@@ -172,8 +172,8 @@ class HandClearance:
         inspector = self._hand.query(self._hand.default_position, root).inspector()
         return sorted(inspector.GetCollisionCandidates(), key=lambda pair: [id.get_value() for id in pair])
 
-    def _ever_touching(self, root: Context, joints: Sequence[int]) -> set[frozenset[GeometryId]]:
-        """Pairs that touch on a grid over the ranges of these joints, the others at their defaults."""
+    def _pairs_touching_on_grid(self, root: Context, joints: Sequence[int]) -> set[frozenset[GeometryId]]:
+        """Finds pairs that touch on a grid over the ranges of the joints; others stay at their defaults."""
         grids = [
             np.linspace(self._hand.lower[joint], self._hand.upper[joint], _GRID_SIZE) for joint in joints
         ]
@@ -186,7 +186,7 @@ class HandClearance:
         return found
 
     def _enlarged_hand(self) -> Context:
-        """A context in which all geometries are enlarged by half of the clearance."""
+        """Creates a context in which all geometries are enlarged by half of the clearance."""
         root, scene_graph = self._hand.contact_context(), self._hand.scene_graph
         context = scene_graph.GetMyMutableContextFromRoot(root)
         for geometry in self._geometries:
@@ -204,24 +204,24 @@ class HandClearance:
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of the rows of a and b (K, 3); several times faster than `np.cross` for few rows."""
+    """Computes the cross products of the rows of a and b (K, 3); faster than `np.cross` for few rows."""
     return a.take(_NEXT_AXIS, 1) * b.take(_PREVIOUS_AXIS, 1) - a.take(_PREVIOUS_AXIS, 1) * b.take(
         _NEXT_AXIS, 1
     )
 
 
-def _enlarged(shape: Shape, name: str, by: float) -> tuple[RigidTransform, Shape]:
-    """A shape that contains all points within a distance of another, m, and its pose in the other's frame."""
+def _enlarged(shape: Shape, name: str, margin: float) -> tuple[RigidTransform, Shape]:
+    """Returns a shape, and its pose in G, that contains all points within `margin`, m, of the given shape."""
     X_GS = RigidTransform()
     if isinstance(shape, Box):
-        return X_GS, Box(shape.size() + 2.0 * by)
+        return X_GS, Box(shape.size() + 2.0 * margin)
     if isinstance(shape, Sphere):
-        return X_GS, Sphere(shape.radius() + by)
+        return X_GS, Sphere(shape.radius() + margin)
     if isinstance(shape, Cylinder):
-        return X_GS, Cylinder(shape.radius() + by, shape.length() + 2.0 * by)
+        return X_GS, Cylinder(shape.radius() + margin, shape.length() + 2.0 * margin)
     if isinstance(shape, Capsule):
-        return X_GS, Capsule(shape.radius() + by, shape.length())
+        return X_GS, Capsule(shape.radius() + margin, shape.length())
     if isinstance(shape, Convex | Mesh):
         box = CalcObb(shape)
-        return box.pose(), Box(2.0 * (box.half_width() + by))
+        return box.pose(), Box(2.0 * (box.half_width() + margin))
     raise unsupported_shape(shape, name)

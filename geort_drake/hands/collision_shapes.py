@@ -1,4 +1,4 @@
-"""A hand's collision geometry as plain arrays, for training without Drake."""
+"""Converts a hand's collision geometry to plain arrays, for training without Drake."""
 
 from typing import TYPE_CHECKING
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 
 def collision_shapes(hand: HandModel) -> "CollisionShapes":
-    """The boxes and spheres of a hand, and the pairs of them that must not touch.
+    """Returns the boxes and spheres of a hand, and the pairs of them that must not touch.
 
-    Boxes and spheres stay as they are. A cylinder becomes a box of equal length and cross-section, a capsule
-    such a box with two spheres at its ends, a mesh the box around its convex hull, shrunk to the hull's
-    volume. Pairs that Drake filters and pairs of fingertips are left out.
+    Boxes and spheres stay the same. A cylinder becomes a box of equal length and cross-sectional area, and a
+    capsule such a box with spheres at both ends. A mesh becomes the box around its convex hull, scaled to the
+    hull's volume. Pairs that Drake filters and pairs of fingertips are left out.
 
     Raises:
-        HandError: the hand has collision geometry of another kind.
+        HandError: the hand has a collision geometry of another kind.
     """
     from geort_drake.retargeting.training.collision_geometry import CollisionShapes  # loads PyTorch
 
@@ -65,7 +65,7 @@ def collision_shapes(hand: HandModel) -> "CollisionShapes":
 
 
 def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:
-    """The boxes and spheres that replace a shape: pose in the shape's frame, half edges and radius."""
+    """Returns the boxes and spheres that replace a shape: poses in its frame, half edges, m, and radii, m."""
     if isinstance(shape, Box):
         return [(np.eye(4), tuple(0.5 * shape.size()), 0.0)]
     if isinstance(shape, Sphere):
@@ -87,7 +87,7 @@ def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float
 
 
 def unsupported_shape(shape: Shape, name: str) -> HandError:
-    """The error for collision geometry that is no box, sphere, cylinder, capsule or mesh."""
+    """Makes the error for collision geometry that is no box, sphere, cylinder, capsule or mesh."""
     return HandError(
         f"collision geometry '{name}' is a {type(shape).__name__}; "
         "choose one of: box, sphere, cylinder, capsule, mesh"

@@ -1,4 +1,4 @@
-"""Joints without a motor, whose angles follow those of other joints."""
+"""Couplings: joints without a motor, whose angles follow those of other joints."""
 
 import dataclasses as dc
 
@@ -12,12 +12,12 @@ from geort_drake.hands.description import CouplingDescription, HandDescription, 
 
 @dc.dataclass(frozen=True)
 class JointCouplings:
-    """The K followers of a hand: their angles are ratio · q + offset.
+    """The K followers of a hand, with angles ratio · q + offset.
 
     Attributes:
-        names: K joint names.
-        ratio: (K, n).
-        offset: (K,) rad.
+        names: the K joint names.
+        ratio: (K, n) factors on q.
+        offset: (K,) constant angles, rad.
     """
 
     names: list[str]
@@ -26,7 +26,7 @@ class JointCouplings:
 
     @classmethod
     def of(cls, description: HandDescription) -> "JointCouplings":
-        """The followers, direct or not, of joints that fingers list."""
+        """Collects the direct and indirect followers of the joints that fingers list."""
         couplings, joints = followers(description), description.joint_names
         ratio = np.zeros((len(couplings), len(joints)))
         for row, coupling in zip(ratio, couplings, strict=True):
@@ -34,28 +34,28 @@ class JointCouplings:
         return cls([c.joint for c in couplings], ratio, np.array([c.offset for c in couplings], float))
 
     def with_followers(self, q: np.ndarray) -> np.ndarray:
-        """(N, n + K) angles of the joints of q (N, n) and then of their followers, rad."""
+        """Returns (N, n + K) angles: q (N, n), then those of the followers, rad."""
         return np.hstack([q, q @ self.ratio.T + self.offset]) if self.names else q
 
 
 def followers(description: HandDescription) -> list[CouplingDescription]:
-    """The couplings, direct or not, to joints that fingers list."""
+    """Returns the direct and indirect couplings to joints that fingers list, resolved to these joints."""
     return [c for c in resolved_couplings(description.couplings) if c.follows in description.joint_names]
 
 
 def position_limits(
     plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex, source: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) lower and upper limits of q, rad, within which followers keep their own limits.
+    """Returns lower and upper limits (n,) of q, rad, within which followers keep their own limits.
 
     Args:
-        plant: with the hand.
-        description: of the hand.
-        hand: its model instance, from `add_hand_model`.
-        source: how errors begin.
+        plant: plant with the hand.
+        description: the hand.
+        hand: model instance of the hand, from `add_hand_model`.
+        source: beginning of error messages.
 
     Raises:
-        HandError: a follower would leave its limits at every angle of its leader.
+        HandError: a follower would exceed its limits at every angle of its leader.
     """
     joints = [plant.GetJointByName(name, hand) for name in description.joint_names]
     lower = np.array([joint.position_lower_limits()[0] for joint in joints])
@@ -67,8 +67,8 @@ def position_limits(
         lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
         if not lower[leader] < upper[leader]:
             raise HandError(
-                f"{source}: joint '{c.joint}', which follows '{c.follows}', would leave its limits "
-                f"[{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; correct its couplings or its "
+                f"{source}: joint '{c.joint}', which follows '{c.follows}', would exceed its limits "
+                f"[{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; correct its coupling or its "
                 "limits"
             )
     return lower, upper

@@ -21,17 +21,17 @@ from geort_drake.yaml_files import check_fields, fault_of
 class FingerDescription:
     """One finger of a robot hand."""
 
-    # One of thumb, index, middle, ring, little.
+    # thumb, index, middle, ring or little.
     name: str = ""
     # The human keypoint (0 to 20) that this fingertip follows.
     human_keypoint: int = 0
-    # The finger's joints by name, base to tip.
+    # Names of the finger's joints, base to tip.
     joints: list[str] = dc.field(default_factory=list)
     # The link that carries the fingertip.
     tip_link: str = ""
     # The fingertip point in the frame of `tip_link`, m.
     tip_point: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
-    # Radius of the sphere around the fingertip point that touches things, m.
+    # Radius of the contact sphere around the fingertip point, m.
     tip_radius: float = 0.0
 
 
@@ -39,20 +39,20 @@ class FingerDescription:
 class MountDescription:
     """The pose of a hand on the arm or adapter that carries it."""
 
-    # Frame or link of the model at the carrier, which is also the hand's wrist; empty: the hand base.
+    # Frame or link of the model that is attached to the carrier; also the wrist. Empty: the hand base.
     frame: str = ""
-    # Its pose in the carrier's frame, whose z axis points at the hand: m, and roll, pitch, yaw in degrees.
+    # Pose in the carrier's frame, whose z axis points to the hand: m, and roll, pitch, yaw in degrees.
     translation: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
     rpy_deg: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
 
 @dc.dataclass
 class BasePoseDescription:
-    """The pose of the hand base B, for a model without a frame there."""
+    """The pose of the hand base B, for a model that has no such frame."""
 
-    # Frame or link of the model that B is fixed to; empty: `base_frame` is a frame of the model.
+    # Frame or link of the model to which B is fixed. Empty: `base_frame` is a frame of the model.
     relative_to: str = ""
-    # Its pose in that frame: m, and roll, pitch, yaw in degrees.
+    # Pose of B in that frame: m, and roll, pitch, yaw in degrees.
     translation: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
     rpy_deg: list[float] = dc.field(default_factory=lambda: [0.0, 0.0, 0.0])
 
@@ -63,18 +63,18 @@ class CouplingDescription:
 
     # The follower.
     joint: str = ""
-    # Its leader: a joint that a finger lists, or another follower.
+    # The leader: a joint that a finger lists, or another follower.
     follows: str = ""
     ratio: float = 1.0
-    # rad.
+    # Angle of the follower where the leader's is 0, rad.
     offset: float = 0.0
 
 
 @dc.dataclass
 class ActuationDescription:
-    """PD gains of every joint that a finger lists; 0 keeps the model's."""
+    """PD gains of every joint that a finger lists."""
 
-    # N·m/rad, N·m·s/rad and N·m; an effort limit of 0 keeps the model's.
+    # N·m/rad, N·m·s/rad and N·m. Stiffness 0 keeps all of the model's, effort limit 0 the model's limit.
     stiffness: float = 0.0
     damping: float = 0.0
     effort_limit: float = 0.0
@@ -88,7 +88,7 @@ class HandDescription:
     """
 
     name: str = ""
-    # SDF, URDF or MJCF file: package://geort_drake/..., an absolute path, or one relative to the description.
+    # SDF, URDF or MJCF file: package://geort_drake/..., an absolute path, or a path relative to this file.
     model: str = ""
     # The side of the hand, right or left.
     side: str = "right"
@@ -97,10 +97,10 @@ class HandDescription:
     base_frame: str = ""
     # The pose of that frame, if the model has no frame of this name.
     base_pose: BasePoseDescription = dc.field(default_factory=BasePoseDescription)
-    # In the order thumb, index, middle, ring, little, without the fingers that the hand lacks.
+    # In the order thumb, index, middle, ring, little, without missing fingers.
     fingers: list[FingerDescription] = dc.field(default_factory=list)
-    # Initial joint positions by name, rad; by default 0. A joint that no finger lists and that follows no
-    # other is held there.
+    # Initial joint positions by name, rad; by default the model's. A joint that no finger lists and that
+    # follows no other is held there.
     default_positions: dict[str, float] = dc.field(default_factory=dict)
     # Joints that follow others; fingers do not list them.
     couplings: list[CouplingDescription] = dc.field(default_factory=list)
@@ -116,7 +116,7 @@ class HandDescription:
 
     @property
     def finger_names(self) -> list[str]:
-        """The fingers, in the order of fingertips."""
+        """Names of the fingers, in the order of fingertips."""
         return [finger.name for finger in self.fingers]
 
     @property
@@ -128,7 +128,7 @@ class HandDescription:
         """Checks everything that can be checked without the model.
 
         Raises:
-            HandError: a field is missing or wrong; names hand, field, what was expected and what was given.
+            HandError: a field is missing or wrong; names hand, field, expected and given values.
         """
         require = self._require
         for field in ("name", "model", "base_frame"):
@@ -193,7 +193,7 @@ def _is_vector(value: list[float]) -> bool:
 
 
 def resolved_couplings(couplings: list[CouplingDescription]) -> list[CouplingDescription]:
-    """The same couplings, each to the joint at the start of its chain of followers.
+    """Returns the same couplings, each to the first leader of its chain of followers.
 
     Raises:
         HandError: a joint follows itself.
@@ -213,14 +213,14 @@ def resolved_couplings(couplings: list[CouplingDescription]) -> list[CouplingDes
 
 
 def hand_names() -> list[str]:
-    """Names of the hands in models/hands: the shipped ones and those that users added."""
+    """Returns the names of the hands in models/hands, including those that users added."""
     return sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml"))
 
 
 def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescription:
     """Loads a hand description by name, one of `hand_names()`, or by the path of a `.yaml` file.
 
-    A description is returned as it is.
+    A description is returned unchanged.
 
     Raises:
         UnknownNameError: no hand has that name.
@@ -257,12 +257,12 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
 def write_description(description: HandDescription, path: Path, comments: Iterable[str] = ()) -> None:
     """Writes a description as YAML, atomically, without the fields that have their default values.
 
-    A model below the folder of the description is named relative to it.
+    A model below the folder of the description is stored with its relative path.
 
     Args:
         description: the hand.
-        path: of the file.
-        comments: lines to put before it.
+        path: path of the file.
+        comments: comment lines at the beginning of the file.
     """
     model = Path(description.model)
     folder = path.resolve().parent

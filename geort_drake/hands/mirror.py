@@ -1,4 +1,4 @@
-"""Kinematics and shapes in the convention of human hands: those of a left hand are mirrored."""
+"""Kinematics and shapes in the convention of human hands, in which left hands are mirrored."""
 
 from typing import TYPE_CHECKING
 
@@ -11,15 +11,15 @@ if TYPE_CHECKING:
 
 
 def canonical_kinematics(hand: HandModel) -> "HandKinematics":
-    """The hand's kinematics; a left hand's are mirrored in the plane y = 0 of the hand base."""
+    """Returns the hand's kinematics; a left hand's are mirrored in the plane y = 0 of the hand base."""
     return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
 
 
 def canonical_shapes(hand: HandModel) -> "CollisionShapes":
-    """The hand's collision shapes; a left hand's are mirrored likewise.
+    """Returns the hand's collision shapes; a left hand's are mirrored as well.
 
     Raises:
-        HandError: as for `collision_shapes`.
+        HandError: as `collision_shapes`.
     """
     shapes = collision_shapes(hand)
     return shapes.mirrored() if hand.description.side == "left" else shapes

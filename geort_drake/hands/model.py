@@ -39,17 +39,17 @@ if TYPE_CHECKING:
 class HandModel:
     """Kinematics and collision geometry of a robot hand in Drake, with its base B welded to the world.
 
-    q is in the order of `joint_names`, the description's. Followers move with these joints; all other
-    joints stay at their default positions. Fingertips are the collision geometries of `tip_geometries`.
+    q has the order of `joint_names`. Followers move with these joints; all other joints stay at their default
+    positions. `tip_geometries` gives the collision geometries that count as fingertips.
     Not thread-safe: the object owns the contexts in which it computes.
 
     Attributes:
-        description: of the hand.
+        description: the description of the hand.
         plant, scene_graph, diagram: the hand in Drake, finalized and built.
         instance: the hand's model instance in `plant`.
         couplings: the joints that follow others.
         digest: SHA-256 over the description, the model, its includes and its collision meshes; independent of
-            where the files are and of the arm, mount and gains.
+            the location of the files and of arm, mount and gains.
         lower, upper: (n,) joint limits, rad, within which followers keep theirs.
 
     Raises:
@@ -63,7 +63,7 @@ class HandModel:
         path = resolve_uri(description.model)
         self._source = f"hand '{description.name}' with model {path}"
         builder = DiagramBuilder()
-        # Joint actuators with controller gains need a discrete plant; no step is ever taken.
+        # Actuators with controller gains need a discrete plant; it is never stepped.
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
         self.instance = add_hand_model(self.plant, description)
         files = model_files(self.plant, self.scene_graph.model_inspector(), self.instance, path)
@@ -93,24 +93,24 @@ class HandModel:
         inspector = self.scene_graph.model_inspector()
         self._tip_geometries = {id for link in tips for id in tip_geometries(self.plant, inspector, link)}
         self._contact_context = self.diagram.CreateDefaultContext()
-        # The same hand without contacts between fingertips.
+        # In this context, contacts between fingertips are filtered.
         self._beyond_tips_context = self.diagram.CreateDefaultContext()
         self.scene_graph.collision_filter_manager(
             self.scene_graph.GetMyMutableContextFromRoot(self._beyond_tips_context)
         ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(self._tip_geometries))))
-        # Visual geometry would slow down each query by a tenth.
+        # Visual geometry would slow each query down by a tenth.
         for context in (self._contact_context, self._beyond_tips_context):
             remove_visuals(self.plant, self.scene_graph, context)
         self._default = self.plant.GetPositions(self.plant.GetMyContextFromRoot(self._contact_context)).copy()
 
     @property
     def joint_names(self) -> list[str]:
-        """The n joints, in the order of q."""
+        """Names of the n joints, in the order of q."""
         return self.description.joint_names
 
     @property
     def finger_names(self) -> list[str]:
-        """The F fingers, in the order of fingertips."""
+        """Names of the F fingers, in the order of fingertips."""
         return self.description.finger_names
 
     @property
@@ -124,30 +124,30 @@ class HandModel:
         return max(finger.tip_radius for finger in self.description.fingers)
 
     def sample(self, count: int, seed: int = 0) -> np.ndarray:
-        """(count, n) joint positions, rad, uniform within the limits; the same for the same seed."""
+        """Draws joint positions (count, n), rad, uniformly within the limits; the same for the same seed."""
         size = (count, len(self.joint_names))
         return np.random.default_rng(seed).uniform(self.lower, self.upper, size)
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
-        """Fingertip points p_BF, (N, F, 3) or (F, 3) in m, for joint positions q, (N, n) or (n,) in rad."""
+        """Computes fingertips p_BF, (N, F, 3) or (F, 3), m, at joint positions q, (N, n) or (n,), rad."""
         p_BF = self._fingertips(self._checked(q))
         return p_BF if np.ndim(q) == 2 else p_BF[0]
 
     def collides(self, q: np.ndarray) -> np.ndarray:
-        """Whether any two parts of the hand touch: (N,) bool for q (N, n), a bool for q (n,).
+        """Returns whether any two parts of the hand touch: (N,) bool for q (N, n), a bool for q (n,).
 
-        Links that a joint connects are not counted.
+        Contacts between links that a joint connects are ignored.
         """
         return self._has_collisions(q, self._contact_context)
 
     def collides_beyond_tips(self, q: np.ndarray) -> np.ndarray:
-        """As `collides`, without contacts between fingertips."""
+        """Does the same as `collides`, but ignores contacts between fingertips."""
         return self._has_collisions(q, self._beyond_tips_context)
 
     def penetrations(self, q: np.ndarray) -> list[tuple[float, str, str, bool]]:
-        """Every contact at q (n,), deepest first.
+        """Returns all contacts at q (n,), deepest first.
 
-        Each is its depth in m, the two links' names in alphabetical order, and whether both are fingertips.
+        A contact has a depth, m, the links' names in alphabetical order, and whether both are fingertips.
         """
         (row,) = self._rows(np.asarray(q)[None])
         found = []
@@ -161,26 +161,26 @@ class HandModel:
         return {geometry_a, geometry_b} <= self._tip_geometries
 
     def link_of(self, geometry: GeometryId) -> str:
-        """Name of the link that a geometry belongs to."""
+        """Returns the name of the link to which a geometry belongs."""
         frame = self.scene_graph.model_inspector().GetFrameId(geometry)
         return self.plant.GetBodyFromFrameId(frame).name()
 
     def contact_context(self) -> Context:
-        """A new context of `diagram` for `query`, in which fingertips do not collide with each other."""
+        """Creates a context of `diagram` for `query`, in which fingertips do not collide with each other."""
         return self._beyond_tips_context.Clone()
 
     def query(self, q: np.ndarray, root_context: Context) -> QueryObject:
-        """Drake's geometry query at finite q (n,), rad, which is set in a context of `diagram`."""
+        """Sets finite q (n,), rad, in a context of `diagram` and returns Drake's geometry query."""
         return self._query(self.couplings.with_followers(q[None])[0], root_context)
 
     @property
     def p_BW(self) -> np.ndarray:
-        """(3,) the wrist in the hand base, m: the origin of the mount's frame."""
+        """(3,) position of the wrist, the origin of the mount's frame, in the hand base, m."""
         context = self.plant.GetMyContextFromRoot(self._contact_context)
         return self.plant.CalcPointsPositions(context, self._mount, np.zeros(3), self._base)[:, 0]
 
     def kinematics(self) -> "HandKinematics":
-        """The fingers as serial chains in PyTorch.
+        """Returns the fingers as serial chains in PyTorch.
 
         Raises:
             HandError: the joints that a finger lists are not those between the hand base and its tip.
@@ -200,7 +200,7 @@ class HandModel:
         )
 
     def _checked(self, q: np.ndarray) -> np.ndarray:
-        """q (N, n) or (n,) as (N, n), if it is finite."""
+        """Returns q (N, n) or (n,) as (N, n); raises ValueError for another shape or values not finite."""
         rows = np.atleast_2d(np.asarray(q, dtype=float))
         n = len(self.joint_names)
         if np.ndim(q) not in (1, 2) or rows.shape[1] != n:
@@ -210,7 +210,7 @@ class HandModel:
         return rows
 
     def _rows(self, q: np.ndarray) -> np.ndarray:
-        """(N, n + K) positions of the joints of q (N, n) or (n,) and of their followers."""
+        """Returns positions (N, n + K), rad: those of q (N, n) or (n,), then those of the followers."""
         return self.couplings.with_followers(self._checked(q))
 
     def _query(self, row: np.ndarray, root_context: Context) -> QueryObject:
@@ -254,17 +254,17 @@ class HandModel:
 def tip_geometries(
     plant: MultibodyPlant, inspector: SceneGraphInspector, tip_link: RigidBody
 ) -> list[GeometryId]:
-    """The collision geometries of a tip link with "tip" in their names, or all if there are none."""
+    """Returns the collision geometries of a tip link with "tip" in their names, or all if there are none."""
     frame = plant.GetBodyFrameIdOrThrow(tip_link.index())
     everything = inspector.GetGeometries(frame, Role.kProximity)
     return [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]] or everything
 
 
 def _digest(description: HandDescription, model_sha256: str) -> str:
-    """SHA-256 over everything that determines the hand's behaviour."""
+    """Computes SHA-256 over everything that determines the hand's behaviour."""
     facts = dc.asdict(description) | {"model": model_sha256}
     del facts["mount"], facts["actuation"]
-    # Newer fields count only if used, so that older checkpoints still fit.
+    # Newer fields count only if used, so that older checkpoints still match.
     for name in ("base_pose", "couplings", "ignored_collisions"):
         if getattr(description, name) == getattr(HandDescription(), name):
             del facts[name]

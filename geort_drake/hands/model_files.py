@@ -1,4 +1,4 @@
-"""The files of a hand's model: reading them, finding meshes and includes, and checking their values."""
+"""Reads the files of a hand's model, finds its meshes and includes, and checks their values."""
 
 import copy
 import hashlib
@@ -26,11 +26,11 @@ _BAD_VERTEX = re.compile(
 
 
 def read_model(path: Path) -> ET.Element:
-    """The XML of a URDF, SDF or MJCF file.
+    """Reads the XML of a URDF, SDF or MJCF file.
 
-    MJCF comes with its includes, with absolute names of meshes, and with default classes that are whole:
-    Drake 1.51 inherits an element's settings only if the inner class has such an element itself. Through a
-    class without one, joints, geoms and actuators lose axes, limits, sizes and gains.
+    MJCF is returned with its includes, absolute mesh paths and complete default classes: Drake 1.51 inherits
+    an element's settings only if the inner class has such an element itself. Otherwise joints, geoms and
+    actuators lose their axes, limits, sizes and gains.
 
     Raises:
         HandError: the file is missing, a Git LFS pointer or not XML.
@@ -47,7 +47,7 @@ def read_model(path: Path) -> ET.Element:
 
 
 def _parsed(path: Path) -> ET.Element:
-    """The XML of a file and of those that MJCF includes."""
+    """Parses the XML of a file, and of those that MJCF includes."""
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
     require_fetched(path, HandError)
@@ -70,7 +70,7 @@ def _parsed(path: Path) -> ET.Element:
 
 
 def _inherit(inner: ET.Element, outer: ET.Element) -> None:
-    """Adds what a default class lacks of the class around it."""
+    """Adds to a default class the settings that it lacks of the class around it."""
     for settings in outer:
         own = inner.find(settings.tag)
         if settings.tag != "default" and own is None:
@@ -80,7 +80,7 @@ def _inherit(inner: ET.Element, outer: ET.Element) -> None:
 
 
 def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]]:
-    """The elements of a model that name a mesh file, and these files."""
+    """Returns the elements of a model that name a mesh file, with these files."""
     if tree.tag == "mujoco":
         folder = model.resolve().parent
         for compiler in tree.iter("compiler"):
@@ -93,41 +93,41 @@ def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]
 
 
 def set_mesh(element: ET.Element, mesh: Path) -> None:
-    """Lets an element of a model name another mesh file, absolute or relative to the model."""
+    """Sets the mesh file that an element of a model names, absolute or relative to the model."""
     name = f"file://{mesh}" if mesh.is_absolute() else str(mesh)
     if element.tag == "uri":
         element.text = name
     elif "filename" in element.attrib:
         element.set("filename", name)
     else:
-        # The default name of a mesh in MJCF is that of its file.
+        # In MJCF, the default name of a mesh is the stem of its file.
         element.set("name", element.get("name") or Path(element.get("file", "")).stem)
         element.set("file", str(mesh))
 
 
 def resolve_reference(model: Path, name: str) -> Path:
-    """The file that a model names: relative to it, or of a package in one of the folders above it."""
+    """Returns the file that a model names, relative to it or in a package in one of the folders above."""
     folder = model.resolve().parent
     package = re.match(r"(?:package|model)://([^/]+)(?:/(.*))?$", name)
     if package:
         for parent in (folder, *folder.parents):
-            place = parent if parent.name == package[1] else parent / package[1]
-            if place.is_dir():
-                return (place / (package[2] or "")).resolve()
-        name = "/".join(part for part in package.groups() if part)  # where it may be put
+            root = parent if parent.name == package[1] else parent / package[1]
+            if root.is_dir():
+                return (root / (package[2] or "")).resolve()
+        name = "/".join(part for part in package.groups() if part)  # where users may put it
     return (folder / name.removeprefix("file://")).resolve()
 
 
 def model_files(
     plant: MultibodyPlant, inspector: SceneGraphInspector | None, hand: ModelInstanceIndex, model: Path
 ) -> list[Path]:
-    """A hand's model file, the files that it includes, and the meshes of its collision geometry.
+    """Returns a hand's model file, the files that it includes, and the meshes of its collision geometry.
 
     Args:
-        plant: with the hand.
-        inspector: of the plant's scene graph; None for a plant without one, where meshes are left out.
-        hand: the model instance of the hand.
-        model: its SDF, URDF or MJCF file.
+        plant: plant with the hand.
+        inspector: inspector of the plant's scene graph; None for a plant without one, which gives no meshes.
+        hand: model instance of the hand.
+        model: SDF, URDF or MJCF file of the hand.
     """
     shapes = []
     if inspector is not None:
@@ -140,13 +140,13 @@ def model_files(
 
 
 def digest_of_contents(files: Iterable[Path]) -> str:
-    """Hexadecimal SHA-256 of a file, or of the digests of several files in order; names do not count."""
+    """Computes the hexadecimal SHA-256 of a file, or of several files' digests in order; ignores names."""
     digests = [sha256_of(file) for file in files]
     return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
 def _included_files(model: Path) -> list[Path]:
-    """The files that an SDF or MJCF file includes, recursively and in order."""
+    """Finds the files that an SDF or MJCF file includes, recursively and in order."""
     text = model.read_text(encoding="utf-8", errors="replace")
     names = re.findall(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", text)
     names += re.findall(r"<include\b[^/]*?>.*?<uri>\s*(.*?)\s*</uri>", text, flags=re.DOTALL)
@@ -160,14 +160,14 @@ def _included_files(model: Path) -> list[Path]:
 
 
 def check_model_values(files: Iterable[Path], source: str) -> None:
-    """Refuses values that Drake would replace by its own, silently or with a warning.
+    """Rejects values that Drake would replace silently or with a warning.
 
     Args:
-        files: from `model_files`; only URDF, SDF, MJCF and OBJ files are checked.
-        source: of the hand, for the message.
+        files: files from `model_files`; only URDF, SDF, MJCF and OBJ files are checked.
+        source: beginning of error messages.
 
     Raises:
-        HandError: a mass or moment of inertia is negative or not finite; or a product of inertia or a vertex
+        HandError: a mass or moment of inertia is negative or not finite, or a product of inertia or a vertex
             is not finite.
     """
     for file in files:
@@ -182,7 +182,7 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
 
 
 def _check_inertia(link: ET.Element, where: str, source: str) -> None:
-    """Checks the numbers of a link of URDF, which are attributes, or of SDF, which are texts."""
+    """Checks the inertia of a link; its numbers are attributes in URDF and texts in SDF."""
     for element in link.iterfind("inertial//*"):
         for name, text in {**element.attrib, element.tag: element.get("value") or element.text}.items():
             if name not in _INERTIA:

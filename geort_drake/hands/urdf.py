@@ -1,4 +1,4 @@
-"""A hand's kinematics as URDF, for methods of other packages."""
+"""Writes a hand's kinematics as URDF, for retargeting methods of other packages."""
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -8,10 +8,10 @@ from geort_drake.hands.model import HandModel
 
 
 def hand_urdf(hand: HandModel) -> str:
-    """The fingers of a hand as URDF, as retargeters see them: a left hand is mirrored.
+    """Returns the fingers of a hand as URDF text; as for all retargeters, a left hand is mirrored.
 
-    The links are `base`, which is B; `wrist`; `JOINT_link` for each joint; and `FINGER_tip` for each
-    fingertip point. Joints have the hand's names and limits. Links have neither shapes nor inertia.
+    The links are `base` (B), `wrist`, `JOINT_link` for each joint and `FINGER_tip` for each fingertip point.
+    Joints have the hand's names and limits. Links have neither shapes nor inertia.
     """
     kinematics = canonical_kinematics(hand)
     parts = ['<link name="base"/>', _fixed("wrist", "base", kinematics.p_BW)]

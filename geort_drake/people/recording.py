@@ -153,7 +153,7 @@ class Recording:
 
     @classmethod
     def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> "Recording":
-        """Makes a recording from the arrays that `save` writes; raises as `load` does, with `name` as path."""
+        """Makes a recording from the arrays that `save` writes; raises as `load` does, for file `name`."""
         missing = [field for field in ("t", "p_HK", "valid", "metadata") if field not in arrays]
         if missing:
             raise RecordingError(f"{name}: not a recording: it lacks {', '.join(missing)}")

@@ -328,7 +328,7 @@ def sdf_with_entities(entities: str, use: str) -> Make:
     return hand_with_model("hand.sdf", text)
 
 
-UNREADABLE = "not one readable model|not XML"
+UNREADABLE = "not a single readable model|not XML"
 
 HANDS: dict[str, tuple[Make, str]] = {
     "a tag that runs code": (hand("!!python/object/apply:os.system ['touch harm']"), "is malformed"),

@@ -1,4 +1,4 @@
-"""Infers finger names, hand base and side from how a model's fingers lie and move."""
+"""Infers finger names, hand base and side from the positions and motions of a model's fingers."""
 
 import dataclasses as dc
 
@@ -16,23 +16,23 @@ from geort_drake.hands.importers.fingertips import Part, parts_of
 from geort_drake.hands.importers.structure import Chain, HandStructure
 from geort_drake.hands.model import HandModel
 
-POSTURES = 300  # random ones
+POSTURES = 300  # number of random postures
 _STRETCH_GRID = 7
-# A hand base this close to the axes of the palm's link is aligned with them, because stretched fingers may
-# lean against the palm; above the second angle, a note says so.
+# Up to the first angle from the axes of the palm's link, the hand base is aligned with these axes, because
+# stretched fingers may lean against the palm; above the second angle, a note says so.
 _SNAP_ANGLE, _NOTED_ANGLE = np.deg2rad(30.0), np.deg2rad(5.0)
-# Fingers close to one side if their mean tip offset is this fraction of their mean distance from straight.
+# Fingers close to one side if their mean tip offset is over this fraction of the mean distance from straight.
 _CLOSING_FRACTION = 0.6
-# A thumb is beside the fingers if its sideways offset is this fraction of its offset to the front.
+# A thumb is at the fingers' side if its sideways offset is over this fraction of its offset to the front.
 _SIDEWAYS_FRACTION = 0.35
 
 
 @dc.dataclass(frozen=True)
 class _Finger:
-    """A chain, and how it lies and closes in the root link R.
+    """A chain with its position and motion in the root link R.
 
-    `p_base` is its first joint, `p_RF` (N, 3) are places of its tip at random postures, `p_stretched` is the
-    farthest one, m.
+    `p_base` is the position of its first joint, `p_RF` (N, 3) are those of its tip in random postures, and
+    `p_stretched` is that of its tip when stretched, m.
     """
 
     chain: Chain
@@ -47,12 +47,12 @@ class _Finger:
 
     @property
     def length(self) -> float:
-        """Of the stretched finger, m."""
+        """Length of the stretched finger, m."""
         return float(np.linalg.norm(self.p_stretched - self.p_base))
 
     @property
     def sideways(self) -> np.ndarray:
-        """(N, 3) offsets of the tip perpendicular to the stretched finger, m."""
+        """(N, 3) offsets of the tip, perpendicular to the stretched finger, m."""
         v = self.p_RF - self.p_stretched
         return v - np.outer(v @ self.direction, self.direction)
 
@@ -60,12 +60,12 @@ class _Finger:
 def arrange(
     structure: HandStructure, hand: HandModel, notes: list[str]
 ) -> tuple[list[str], RigidTransform, str]:
-    """The names of the chains' fingers, the pose X_RB of the hand base in the root link R, and the side.
+    """Finds the finger name of each chain, the pose X_RB of the hand base in the root link R, and the side.
 
     Args:
-        structure: of the model.
-        hand: the model with its fingers under any names, and R as hand base.
-        notes: grows by a sentence on each guess.
+        structure: structure of the model.
+        hand: the model with provisional finger names and R as hand base.
+        notes: receives a sentence on each guess.
     """
     fingers = _stretched(structure, hand)
     p_base = np.array([finger.p_base for finger in fingers])
@@ -77,14 +77,14 @@ def arrange(
         named = None
         thumb = thumb_by_place(p_base, directions, np.array([finger.length for finger in fingers]))
         joints = ", ".join(fingers[thumb].chain.joints)
-        notes.append(f"no name identifies the thumb; it is taken to be the finger with the joints {joints}")
+        notes.append(f"no name identifies the thumb; it is assumed to be the finger with the joints {joints}")
     others = [number for number in range(len(fingers)) if number != thumb]
     z = _unit(directions[others].mean(axis=0))
     sideways = np.concatenate([fingers[number].sideways for number in others])
     x = sideways.mean(axis=0)
     if np.linalg.norm(x) < _CLOSING_FRACTION * np.linalg.norm(sideways, axis=1).mean():
         x = p_base[thumb] - p_base[others].mean(axis=0)
-        notes.append("the fingers bend to both sides alike; the palm's side is taken to be the thumb's")
+        notes.append("the fingers bend equally to both sides; the palm is assumed to be on the thumb's side")
     x = _unit(x - (x @ z) * z)
     plant = structure.plant
     context = plant.CreateDefaultContext()
@@ -95,7 +95,7 @@ def arrange(
     forward, to_left, _ = thumb_place @ R_RB
     side = "right" if to_left > 0 else "left"
     links = [plant.get_body(index).name() for index in plant.GetBodyIndices(structure.hand)]
-    # The links come last, because those of a whole robot are of both sides.
+    # Names of links come last, because a whole robot has links of both sides.
     named_side = (
         side_by_name([structure.path.stem])
         or side_by_name([structure.palm[0].name()])
@@ -103,10 +103,10 @@ def arrange(
     )
     if abs(to_left) < _SIDEWAYS_FRACTION * abs(forward):
         side = named_side or "right"
-        notes.append(f"the thumb is opposite to the fingers, not beside them; taken for a {side} hand")
+        notes.append(f"the thumb is opposite the fingers, not at their side; assuming a {side} hand")
     elif named_side is not None and named_side != side:
         notes.append(
-            f"names say that this is a {named_side} hand, but the thumb's place says a {side} hand; check "
+            f"names indicate a {named_side} hand, but the thumb's position a {side} hand; check "
             "base_pose and side, and the joint limits, which may close the fingers backwards"
         )
     if named is None:
@@ -117,13 +117,13 @@ def arrange(
         parts = parts or parts_of(plant, structure.scene_graph, structure.palm, role, plant.world_frame())
     origins = [plant.EvalBodyPoseInWorld(context, link).translation() for link in structure.palm]
     palm = np.concatenate([part.points for part in parts]) if parts else np.array(origins)
-    # The wrist end of the palm, behind the middle of the knuckles.
+    # The hand base is at the wrist end of the palm, behind the middle of the knuckles.
     wrist = knuckles + ((palm - knuckles) @ R_RB[:, 2]).min(initial=0.0) * R_RB[:, 2]
     return named, RigidTransform(RotationMatrix(R_RB), wrist), side
 
 
 def _stretched(structure: HandStructure, hand: HandModel) -> list[_Finger]:
-    """Moves the hand through random postures, and stretches each finger."""
+    """Moves the hand through random postures and stretches each finger."""
     q = hand.sample(POSTURES)
     p_RF = hand.fingertips(q)
     context = structure.plant.CreateDefaultContext()
@@ -132,7 +132,7 @@ def _stretched(structure: HandStructure, hand: HandModel) -> list[_Finger]:
         first = structure.plant.GetJointByName(chain.joints[0], structure.hand)
         p_base = first.frame_on_parent().CalcPoseInWorld(context).translation()
         best = q[np.linalg.norm(p_RF[:, number] - p_base, axis=1).argmax()].copy()
-        # From the most stretched sample, stretch one joint after the other, from the tip to the base.
+        # Start from the most stretched sample and stretch one joint after the other, from tip to base.
         for joint in reversed([hand.joint_names.index(name) for name in chain.joints]):
             low, high = hand.lower[joint], hand.upper[joint]
             trials = np.tile(best, (_STRETCH_GRID, 1))
@@ -148,7 +148,7 @@ def _stretched(structure: HandStructure, hand: HandModel) -> list[_Finger]:
 
 
 def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
-    """The rotation aligned with the nearest axes, if they are near."""
+    """Returns the rotation, aligned with the nearest axes if they are close."""
     nearest = np.zeros((3, 3))
     rows = np.abs(R).argmax(axis=0)
     nearest[rows, range(3)] = np.sign(R[rows, range(3)])
@@ -157,7 +157,7 @@ def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
         if angle < _SNAP_ANGLE:
             if angle > _NOTED_ANGLE:
                 notes.append(
-                    f"the hand base has the axes of the palm's link; stretched fingers lean by "
+                    f"the hand base is aligned with the palm's link; stretched fingers lean by "
                     f"{np.rad2deg(angle):.0f} degrees"
                 )
             return nearest

@@ -10,27 +10,27 @@ from scipy.optimize import minimize
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
-# Ranges of joints outside of these are probably mistakes, rad.
+# Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
-# The fraction of its range that a joint should keep despite the limits of its followers.
+# The fraction of its range that a joint should keep within the limits of its followers.
 _FREE_FRACTION = 0.75
 # Links that touch in a larger fraction of random postures hinder the hand.
 FREQUENT_FRACTION = 0.4
 _POSTURES = 100
 _PINCH_SAMPLES, _PINCH_STARTS = 2000, 4
-# By how much fingers must lie in the wrong order for a finding, m.
+# Fingers must be misplaced by more than this for a finding, m.
 _ORDER_MARGIN = 0.005
 # Shorter links need no collision geometry, m.
 _SHORT_LINK = 0.012
 
 
 def examine(hand: HandModel) -> list[str]:
-    """Sentences that name the hand's faults, most important first."""
+    """Returns sentences that name the hand's faults, most important first."""
     return [*_limits(hand), *_pinches(hand), *_orientation(hand), *_collisions(hand), *_masses(hand)]
 
 
 def contact_fractions(hand: HandModel) -> dict[tuple[str, str], float]:
-    """Pair of links → fraction of random postures in which they touch; without pairs of fingertips."""
+    """Maps pairs of links, except fingertips, to the fraction of random postures in which they touch."""
     counts: Counter[tuple[str, str]] = Counter()
     for q in hand.sample(_POSTURES):
         counts.update({(a, b) for _, a, b, tips in hand.penetrations(q) if not tips})
@@ -44,7 +44,7 @@ def _limits(hand: HandModel) -> list[str]:
         if high - low < _NARROW_RANGE:
             found.append(f"joint '{name}' moves only {degrees}: are its limits in radians?")
         elif high - low > _WIDE_RANGE:
-            found.append(f"joint '{name}' moves {degrees}, more than a turn: give it narrower limits")
+            found.append(f"joint '{name}' moves {degrees}, more than a full turn: give it narrower limits")
         joint = hand.plant.GetJointByName(name)
         if high - low < _FREE_FRACTION * (joint.position_upper_limit() - joint.position_lower_limit()):
             found.append(f"joint '{name}' moves only {degrees}, because of its followers' limits")
@@ -70,7 +70,7 @@ def _pinches(hand: HandModel) -> list[str]:
 
 
 def nearest_pinch(kinematics: NumpyKinematics, number: int) -> float:
-    """The smallest distance of the first finger's tip and that of finger `number`, m, without collisions."""
+    """Finds the smallest distance, m, between the tips of finger 0 and `number`; ignores collisions."""
     q = np.random.default_rng(0).uniform(
         kinematics.lower, kinematics.upper, (_PINCH_SAMPLES, len(kinematics.joint_names))
     )
@@ -88,7 +88,7 @@ def nearest_pinch(kinematics: NumpyKinematics, number: int) -> float:
 
 
 def _orientation(hand: HandModel) -> list[str]:
-    """Faults in the fingers' places relative to the axes of the hand base."""
+    """Finds faults in the fingers' positions relative to the axes of the hand base."""
     found = []
     p_BF = hand.fingertips(hand.sample(_PINCH_SAMPLES // 4))
     sign = 1.0 if hand.description.side == "right" else -1.0
@@ -136,8 +136,8 @@ def _collisions(hand: HandModel) -> list[str]:
     for (a, b), share in sorted(contact_fractions(hand).items(), key=lambda item: -item[1]):
         if share >= FREQUENT_FRACTION:
             found.append(
-                f"'{a}' and '{b}' touch in {share:.0%} of postures: correct their shapes, or put the pair "
-                "under ignored_collisions"
+                f"'{a}' and '{b}' touch in {share:.0%} of postures: correct their shapes, or list the pair "
+                "in ignored_collisions"
             )
     if hand.collides(hand.default_position):
         pairs = {f"'{a}' and '{b}'" for _, a, b, _ in hand.penetrations(hand.default_position)}
@@ -151,7 +151,7 @@ def _masses(hand: HandModel) -> list[str]:
 
 
 def _links(hand: HandModel) -> list[tuple[str, float]]:
-    """The links that joints of fingers move, and how far from each joint the next one or the tip is, m."""
+    """Returns the fingers' moving links and their lengths, m: from each joint to the next or the tip."""
     links = []
     for chain in hand.kinematics().fingers:
         lengths = np.linalg.norm([*chain.X_PJ[1:, :3, 3], chain.p_tip], axis=1)

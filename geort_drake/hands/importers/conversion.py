@@ -1,4 +1,4 @@
-"""Copies of models with convex hulls in place of meshes that Drake cannot read, or of missing collisions."""
+"""Copies models; convex hulls replace unreadable meshes and missing collision geometry."""
 
 import copy
 import os
@@ -23,20 +23,20 @@ _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
 
 def unreadable_meshes(model: Path) -> list[Path]:
-    """The meshes of a model that Drake does not read, in the order of the file.
+    """Returns the meshes of a model that Drake cannot read, in the order of the file.
 
     Raises:
-        HandError: the model is not XML.
+        HandError: the model is missing or not XML.
     """
     meshes = dict.fromkeys(mesh for _, mesh in mesh_elements(model, read_model(model)))
     return [mesh for mesh in meshes if mesh.suffix.lower() not in _READABLE]
 
 
 def convert_model(model: Path, folder: Path) -> Path:
-    """Writes a copy of a model that Drake reads into a folder of its own; returns the copy.
+    """Writes a copy of a model that Drake can read into a new folder; returns the copy's path.
 
-    MJCF becomes one file with its includes and explicit defaults. The hulls are beside the copy, which names
-    all meshes relative to itself.
+    MJCF becomes a single file with its includes and explicit defaults. The hulls are next to the copy, which
+    names all meshes relative to itself.
 
     Raises:
         HandError: a mesh is missing, damaged, or of an unknown format.
@@ -53,7 +53,7 @@ def convert_model(model: Path, folder: Path) -> Path:
 
 
 def _text_of(tree: ET.Element, model: Path, folder: Path, hulls: Mapping[Path, Path]) -> str:
-    """A model's XML for a file in `folder`, which names `hulls` and all other meshes relative to it."""
+    """Returns a model's XML for a file in `folder`, with `hulls` and other meshes named relative to it."""
     for element, mesh in mesh_elements(model, tree):
         set_mesh(element, Path(os.path.relpath(hulls.get(mesh, mesh), folder.resolve())))
     for compiler in tree.iter("compiler"):  # of MJCF
@@ -66,10 +66,10 @@ def add_collisions(model: Path) -> list[str]:
     """Gives links without collision geometry their visual geometry, or the convex hull of a visual mesh.
 
     Args:
-        model: a URDF, SDF or MJCF file that Drake reads; it is overwritten.
+        model: a URDF, SDF or MJCF file that Drake can read; it is overwritten.
 
     Returns:
-        The links that got collision geometry.
+        Names of the links that got collision geometry.
 
     Raises:
         HandError: the model cannot be loaded.
@@ -98,7 +98,7 @@ def add_collisions(model: Path) -> list[str]:
 
 
 def _hull_of_mesh(mesh: Path) -> str:
-    """The convex hull of a mesh as an OBJ file, in the mesh's unit; of COLLADA in m."""
+    """Returns the convex hull of a mesh as OBJ text, in the mesh's unit; for COLLADA in m."""
     if not mesh.is_file():
         raise HandError(f"the mesh file {mesh} is missing")
     require_fetched(mesh, HandError)
@@ -113,9 +113,9 @@ def _hull_of_mesh(mesh: Path) -> str:
     try:
         scene = trimesh.load_scene(mesh, file_type=suffix[1:])
         hull = trimesh.convex.convex_hull(scene.to_mesh().vertices)
-        # As in ROS, the unit of a COLLADA file counts, and its up axis does not.
+        # As in ROS, the unit of a COLLADA file is applied, and its up axis is ignored.
         unit = trimesh.units.unit_conversion(scene.units or "meters", "meters") if suffix == ".dae" else 1.0
-    except Exception as error:  # each format raises its own kinds
+    except Exception as error:  # each format raises its own exceptions
         raise HandError(f"{mesh}: not a readable {suffix} mesh: {error}") from error
     hull.vertices = unit * hull.vertices @ (_Z_UP.T if suffix == ".glb" else np.eye(3))
     return trimesh.exchange.obj.export_obj(

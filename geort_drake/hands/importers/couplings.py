@@ -1,4 +1,4 @@
-"""Couplings of joints in URDF, SDF and MJCF files, including the fixed tendons of MJCF."""
+"""Reads couplings of joints from URDF, SDF and MJCF files, including fixed tendons of MJCF."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -10,14 +10,14 @@ from geort_drake.errors import HandError
 from geort_drake.hands.description import CouplingDescription
 from geort_drake.hands.model_files import read_model
 
-# Joints count as coupled if a tendon's range leaves them at most this much play to either side, rad.
+# A tendon couples its joints if its range leaves them at most this much play to either side, rad.
 _MAX_PLAY = 0.2
 
 
 def read_couplings(path: Path) -> list[CouplingDescription]:
-    """The linear couplings of a model: `mimic` of URDF and SDF, equalities and fixed tendons of MJCF.
+    """Reads a model's linear couplings: `mimic` in URDF and SDF, equalities and fixed tendons in MJCF.
 
-    Drake applies URDF's `mimic` and `drake:mimic` in SDF without giving access to them, and ignores the rest.
+    Drake applies URDF's `mimic` and SDF's `drake:mimic` without giving access to them, and ignores the rest.
 
     Raises:
         HandError: the file is not XML, a number is malformed, or a coupling is not linear.
@@ -41,7 +41,7 @@ def read_couplings(path: Path) -> list[CouplingDescription]:
 
 
 def _mimic_coupling(mimic: ET.Element, joint: str) -> CouplingDescription:
-    """ratio · leader + offset from attributes in URDF, from elements in SDF, there minus a reference."""
+    """Reads ratio and offset from attributes (URDF) or elements (SDF, which may also have a reference)."""
 
     def number(name: str, default: float) -> float:
         return float(mimic.get(name) or mimic.findtext(name) or default)
@@ -52,7 +52,7 @@ def _mimic_coupling(mimic: ET.Element, joint: str) -> CouplingDescription:
 
 
 def _equality_coupling(path: Path, equality: ET.Element) -> CouplingDescription | None:
-    """joint1 = c0 + c1 · joint2 + …; None if inactive or without a second joint."""
+    """Reads joint1 = c0 + c1 · joint2 + …; returns None if it is inactive or has no second joint."""
     joint, leader = equality.get("joint1", ""), equality.get("joint2")
     given = [float(value) for value in (equality.get("polycoef") or "0 1 0 0 0").split()]
     offset, ratio, *higher = [*given, 0.0, 0.0][: max(len(given), 2)]
@@ -68,7 +68,7 @@ def _equality_coupling(path: Path, equality: ET.Element) -> CouplingDescription 
 
 @dataclass(frozen=True)
 class TendonCoupling:
-    """A coupling of two joints by a tendon; `assumed` if the tendon pulls both without constraining them."""
+    """A coupling of two joints by a tendon; `assumed` if the tendon pulls but does not constrain them."""
 
     tendon: str
     coupling: CouplingDescription
@@ -76,11 +76,11 @@ class TendonCoupling:
 
 
 def tendon_couplings(tree: ET.Element) -> list[TendonCoupling]:
-    """The couplings by fixed tendons of two joints, whose length is c1 · q1 + c2 · q2.
+    """Reads the couplings by fixed tendons of two joints, whose length is c1 · q1 + c2 · q2.
 
-    A tendon couples its joints if an equality fixes its length, if its range leaves next to no play, or if a
+    A tendon couples its joints if an equality fixes its length, if its range leaves little play, or if a
     motor pulls it and none moves either joint. In the last case both joints are assumed to be equally stiff,
-    so that they turn in proportion to their coefficients. The joint without a motor follows, else the outer.
+    so they turn in proportion to their coefficients. The joint without a motor follows, else the outer one.
 
     Raises:
         ValueError: a number is malformed.
@@ -115,7 +115,7 @@ def tendon_couplings(tree: ET.Element) -> list[TendonCoupling]:
 
 
 def coupling_notes(tree: ET.Element) -> list[str]:
-    """Notes for the user on assumed couplings, and on tendons and closed loops that are ignored."""
+    """Returns notes for the user on assumed couplings, and on ignored tendons and closed loops."""
     known = tendon_couplings(tree)
     notes = [
         f"one motor pulls '{c.follows}' and '{c.joint}'; assuming equal stiffness, '{c.joint}' follows by "
@@ -141,7 +141,7 @@ def _motors(tree: ET.Element) -> Iterator[ET.Element]:
 
 
 def _narrow_length(tree: ET.Element, tendon: ET.Element, coefficient: float) -> float | None:
-    """The middle of a tendon's range, if the range leaves its joints next to no play; else None."""
+    """Returns the middle of a tendon's range if the range leaves its joints little play, else None."""
     defaults = [d for d in tree.iter("default") if d.get("class", "main") == tendon.get("class", "main")]
     settings: dict[str, str] = {}
     for element in (*(node for default in defaults for node in default.findall("tendon")), tendon):

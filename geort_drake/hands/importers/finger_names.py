@@ -1,4 +1,4 @@
-"""Identifies fingers and the side of a hand by the names in its model, else by the fingers' places."""
+"""Identifies a hand's fingers and side by the names in its model, or by the fingers' positions."""
 
 import re
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ import numpy as np
 
 from geort_drake.people.keypoints import FINGER_NAMES
 
-# Names of fingers in models; Shadow and others use two letters.
+# Names of fingers in models; Shadow and others use two-letter names.
 _WORDS = {
     "thumb": r"thumb|pollex|(?<![a-z])th(?![a-z])|(?<![a-z])thj",
     "index": r"index|fore|point(?!_)|(?<![a-z])ff|(?<![a-z])if(?![a-z])",
@@ -22,10 +22,10 @@ _SIDES = {
 
 
 def fingers_by_name(names: Sequence[Sequence[str]]) -> list[str] | None:
-    """The finger of each chain of joints and links by their names; None if these are ambiguous.
+    """Identifies the finger of each chain by names; returns None if these are ambiguous.
 
     Args:
-        names: of each chain's joints and links.
+        names: names of each chain's joints and links.
     """
     found = []
     for group in names:
@@ -40,12 +40,12 @@ def fingers_by_name(names: Sequence[Sequence[str]]) -> list[str] | None:
 
 
 def thumb_by_place(p_base: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> int:
-    """Number of the finger that differs most in place and direction; of two fingers, the shorter.
+    """Returns the number of the finger that differs most in position and direction; of two, the shorter.
 
     Args:
-        p_base: (F, 3) first joints of the fingers, m.
+        p_base: (F, 3) positions of the fingers' first joints, m.
         directions: (F, 3) unit vectors along the stretched fingers.
-        reach: (F,) their lengths, m.
+        reach: (F,) lengths of the stretched fingers, m.
     """
     count = len(p_base)
     if count == 2:
@@ -61,7 +61,7 @@ def thumb_by_place(p_base: np.ndarray, directions: np.ndarray, reach: np.ndarray
 
 
 def side_by_name(texts: Sequence[str]) -> str | None:
-    """The side that most of the texts name; None for a tie."""
+    """Returns the side that most of the texts name; None for a tie."""
     counts = {
         side: sum(bool(re.search(word, text.lower())) for text in texts) for side, word in _SIDES.items()
     }
@@ -71,12 +71,12 @@ def side_by_name(texts: Sequence[str]) -> str | None:
 
 
 def fingers_by_place(count: int, thumb: int, sideways: np.ndarray) -> list[str]:
-    """Names of fingers by their distance from the thumb, which the index finger is next to.
+    """Names fingers by their distance from the thumb, beginning with the index finger.
 
     Args:
-        count: F.
-        thumb: its number.
-        sideways: (F,) places of the fingers' first joints towards the thumb's side, m.
+        count: F, the number of fingers.
+        thumb: number of the thumb.
+        sideways: (F,) coordinates of the fingers' first joints towards the thumb's side, m.
     """
     names = [""] * count
     names[thumb] = FINGER_NAMES[0]

@@ -23,10 +23,10 @@ from pydrake.multibody.tree import Frame, RigidBody
 
 from geort_drake.hands.importers.structure import Chain, HandStructure
 
-# The fraction of the last link's length, from its end, whose cross-section gives the radius; bounds, m.
+# The cross-section of this last fraction of a finger's last link gives the radius, within bounds, m.
 _END_FRACTION = 0.25
 _RADIUS_RANGE = (0.003, 0.016)
-# Without any geometry: the tip's distance, relative to the length of the link before, and its radius, m.
+# Without geometry: the tip's distance, relative to the length of the preceding link, and the radius, m.
 _DEFAULT_LENGTH, _DEFAULT_RADIUS = 0.8, 0.008
 
 
@@ -35,10 +35,10 @@ class Fingertip:
     """The centre of the rounded end of a finger.
 
     Attributes:
-        body: the link that carries it.
-        point: (3,) in the link's frame, m.
-        radius: of the sphere around it that makes contact, m.
-        source: the geometry it was taken from, for the user.
+        body: the link that carries the tip.
+        point: (3,) position in the link's frame, m.
+        radius: radius of the contact sphere around the point, m.
+        source: describes to the user the geometry from which the tip was derived.
     """
 
     body: RigidBody
@@ -48,7 +48,7 @@ class Fingertip:
 
 
 class Part(NamedTuple):
-    """A geometry: its link, the poses of both in a frame F, its shape, and its points (N, 3) in F, m."""
+    """A geometry G: its link L, the poses of both in a frame F, its shape, and points (N, 3) in F, m."""
 
     link: RigidBody
     X_FL: RigidTransform
@@ -58,7 +58,7 @@ class Part(NamedTuple):
 
 
 def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
-    """The end of a finger's collision geometry, else of its visual geometry, else a guess."""
+    """Returns the end of a finger's collision geometry, else of its visual geometry, else a guess."""
     plant = structure.plant
     context = plant.CreateDefaultContext()
     X_RJ = [
@@ -73,11 +73,11 @@ def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
     along = next((v for v in offsets if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
     X_RL = plant.EvalBodyPoseInWorld(context, chain.bodies[0])
     point = X_RL.inverse() @ (p_RJ + _DEFAULT_LENGTH * along)
-    return Fingertip(chain.bodies[0], point, _DEFAULT_RADIUS, "the places of joints alone")
+    return Fingertip(chain.bodies[0], point, _DEFAULT_RADIUS, "the positions of joints alone")
 
 
 def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> Fingertip:
-    """The tip of geometries that a joint at a point moves, all in R."""
+    """Finds the tip of the geometries that move with the joint at p_RJ (3,), m; parts are in R."""
     points = np.concatenate([part.points for part in parts])
     distance = np.linalg.norm(points - p_RJ, axis=1)
     along = (points[distance.argmax()] - p_RJ) / distance.max()
@@ -99,9 +99,9 @@ def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> Fingertip:
 
 
 def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """(N, 3) points of a geometry in its frame, m: a hull's vertices, or the corners of the box around it.
+    """Returns points (N, 3) of a geometry in its frame, m: vertices of its hull, or corners of its box.
 
-    None for a mesh that Drake draws without reading it, and for shapes without bounds.
+    Returns None for a mesh that Drake draws without reading it, and for unbounded shapes.
     """
     shape = inspector.GetShape(geometry)
     try:
@@ -120,7 +120,7 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
 def parts_of(
     plant: MultibodyPlant, scene_graph: SceneGraph, links: Iterable[RigidBody], role: Role, frame: Frame
 ) -> list[Part]:
-    """The geometries of links that have a role, in a frame and in the default posture."""
+    """Returns the links' geometries that have a role, expressed in a frame, in the default posture."""
     inspector, context = scene_graph.model_inspector(), plant.CreateDefaultContext()
     parts = []
     for link in links:

@@ -27,13 +27,13 @@ from geort_drake.hands.model_files import read_model
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
 _BASE_NAME = "hand_base"
-# Links that touch in this fraction of random postures are taken to touch in all of them.
+# Links that touch in this fraction of random postures are assumed to touch in all postures.
 _PERMANENT_FRACTION = 0.95
-# How far the joints are opened towards the middle of their ranges to find a start without collision.
+# Steps towards the middle of the joints' ranges in the search for a start without self-collision.
 _OPENINGS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-# With this rotation on the shipped adapter, a left hand is the mirror image of a right one, degrees.
+# With this rotation on the shipped adapter, deg, a left hand is the mirror image of a right hand.
 _LEFT_MOUNT = (0.0, 0.0, 90.0)
-# Gains for models without position controllers, those of the Allegro hand: N·m/rad, N·m·s/rad, N·m.
+# Gains for models without position controllers: those of the Allegro hand, N·m/rad, N·m·s/rad, N·m.
 _GAINS = ActuationDescription(stiffness=1.0, damping=0.1, effort_limit=1.0)
 
 
@@ -42,8 +42,8 @@ class Proposal:
     """A hand description, and notes for its user.
 
     Attributes:
-        description: with the absolute path of the model.
-        notes: one sentence on each guess or omission.
+        description: the hand, with the absolute path of its model.
+        notes: a sentence on each guess or omission.
     """
 
     description: HandDescription
@@ -55,30 +55,30 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
 
     Args:
         model: URDF, SDF or MJCF file.
-        name: of the hand; by default made from the file's.
-        palm: link that carries the fingers; by default the one that most chains of joints leave.
+        name: name of the hand; by default derived from the file's.
+        palm: link that carries the fingers; by default the one from which most chains of joints start.
 
     Raises:
         HandError: the model cannot be read, or is not one hand with 2 to 5 fingers of revolute joints.
-        UnknownNameError: it has no such link.
+        UnknownNameError: the model has no such link.
     """
     structure = read_structure(model.resolve(), palm)
     plant = structure.plant
     notes: list[str] = []
     tips = [find_fingertip(structure, chain) for chain in structure.chains]
-    # In the frame R of the root link, under names that are yet to be found.
-    rough = HandDescription(
+    # In the frame R of the root link, with provisional finger names.
+    draft = HandDescription(
         name=name or re.sub(r"\W+", "_", model.stem),
         model=str(model.resolve()),
         base_frame=structure.root,
-        fingers=[_describe(*each) for each in zip(FINGER_NAMES, structure.chains, tips, strict=False)],
+        fingers=[_describe_finger(*each) for each in zip(FINGER_NAMES, structure.chains, tips, strict=False)],
         couplings=[
             CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
             for c in structure.couplings
         ],
     )
-    rough.default_positions = _default_positions(structure, rough)
-    hand = HandModel(rough)
+    draft.default_positions = _default_positions(structure, draft)
+    hand = HandModel(draft)
     names, X_RB, side = arrange(structure, hand, notes)
     guessed: dict[str, list[str]] = {}
     for tip, label in zip(tips, names, strict=True):
@@ -99,10 +99,10 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     overlaps = _overlaps(hand)
     if overlaps:
         pairs = (f"'{a}' and '{b}' in {share:.0%} of postures" for (a, b), share in overlaps.items())
-        notes.append(f"contacts of links whose shapes overlap are ignored: {', '.join(pairs)}")
-    described = [_describe(*each) for each in zip(names, structure.chains, tips, strict=True)]
+        notes.append(f"contacts of links with overlapping shapes are ignored: {', '.join(pairs)}")
+    described = [_describe_finger(*each) for each in zip(names, structure.chains, tips, strict=True)]
     description = dc.replace(
-        rough,
+        draft,
         side=side,
         base_frame=base,
         base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
@@ -113,7 +113,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     if side == "left":
         description.mount.rpy_deg = list(_LEFT_MOUNT)
     hand = HandModel(description)
-    # The rearmost part lies on the arm.
+    # The rearmost part touches the arm.
     description.mount.translation = [0.0, 0.0, round(_depth(hand), 3)]
     start = _free_posture(hand)
     if start is None:
@@ -124,10 +124,10 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
 
 
 def _overlaps(hand: HandModel) -> dict[tuple[str, str], float]:
-    """Pairs of links that touch because of their shapes → fraction of random postures in which they do.
+    """Maps pairs of links with overlapping shapes to the fraction of random postures in which they touch.
 
-    They touch in all postures; or often, with at most one link between them and a mesh, whose convex hull is
-    larger than the part.
+    Such links touch in all postures, or frequently if at most two joints separate them and one has a mesh,
+    whose convex hull is larger than the part.
     """
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     paths = {plant.get_body(index): path for index, path in joint_paths(plant, hand.instance).items()}
@@ -146,7 +146,7 @@ def _overlaps(hand: HandModel) -> dict[tuple[str, str], float]:
     return found
 
 
-def _describe(name: str, chain: Chain, tip: Fingertip) -> FingerDescription:
+def _describe_finger(name: str, chain: Chain, tip: Fingertip) -> FingerDescription:
     return FingerDescription(
         name=name,
         human_keypoint=TIP_KEYPOINT[name],
@@ -158,7 +158,7 @@ def _describe(name: str, chain: Chain, tip: Fingertip) -> FingerDescription:
 
 
 def _default_positions(structure: HandStructure, description: HandDescription) -> dict[str, float]:
-    """For joints whose default is outside their limits: a tenth of the range from the nearer limit."""
+    """Returns positions a tenth of the range inside the limits, for joints whose default is outside, rad."""
     positions = {}
     limits = position_limits(structure.plant, description, structure.hand, f"model {structure.path}")
     for name, low, high in zip(description.joint_names, *limits, strict=True):
@@ -170,7 +170,7 @@ def _default_positions(structure: HandStructure, description: HandDescription) -
 
 
 def _free_posture(hand: HandModel) -> np.ndarray | None:
-    """(n,) joint positions without self-collision, near the default ones; None if none was found."""
+    """Returns (n,) joint positions without self-collision, near the default ones, or None."""
     start = hand.default_position
     for opening in _OPENINGS:
         q = start + opening * (0.5 * (hand.lower + hand.upper) - start)
@@ -182,7 +182,7 @@ def _free_posture(hand: HandModel) -> np.ndarray | None:
 
 
 def _depth(hand: HandModel) -> float:
-    """How far the hand's collision geometry reaches behind the hand base in the default posture, m."""
+    """Returns how far the collision geometry extends behind the hand base in the default posture, m."""
     links = map(hand.plant.get_body, hand.plant.GetBodyIndices(hand.instance))
     base = hand.plant.GetFrameByName(hand.description.base_frame, hand.instance)
     parts = parts_of(hand.plant, hand.scene_graph, links, Role.kProximity, base)
@@ -190,7 +190,7 @@ def _depth(hand: HandModel) -> float:
 
 
 def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescription:
-    """The model's own gains if every joint has some, else default ones."""
+    """Keeps the model's own gains if every joint has a controller, else returns default gains."""
     plant = structure.plant
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(structure.hand)]
     ready = {actuator.joint().name() for actuator in actuators if actuator.has_controller()}
@@ -201,7 +201,7 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
     some = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have" if ready else "the model has"
     notes.append(
         f"{some} no position controllers; under actuation, replace the default gains "
-        f"{_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m by "
+        f"{_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m with "
         "your hand's"
     )
     return _GAINS

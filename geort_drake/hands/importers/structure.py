@@ -1,7 +1,7 @@
 """Finds the palm and the fingers of a hand's model.
 
-Links with the same movable joints between them and the root are welded together. A tuple of joint names thus
-identifies a group of links; a group carries those whose tuples begin with its own.
+Links with the same movable joints between them and the root are welded together. The tuple of these joints'
+names thus identifies a group of links; a group carries all groups whose tuples begin with its own.
 """
 
 import itertools
@@ -22,11 +22,11 @@ from geort_drake.hands.description import CouplingDescription, resolved_coupling
 from geort_drake.hands.importers.couplings import read_couplings
 
 MAX_FINGERS = 5
-# A second branch of a finger is a finger itself if it has this many joints of its own.
-_OWN_JOINTS = 2
-# If this many joints in a row move several chains, they are an arm; folding palms have one.
-_ARM_JOINTS = 4
-_HAND_FINGERS = 3  # chains that make a link the palm of another hand
+# A second branch of a finger is a separate finger if it has this many joints of its own.
+_MIN_BRANCH_JOINTS = 2
+# This many joints in a row that move several chains form an arm; folding palms have one such joint.
+_MIN_ARM_JOINTS = 4
+_MIN_PALM_CHAINS = 3  # a link that carries this many chains is the palm of another hand
 
 Group = tuple[str, ...]
 
@@ -36,10 +36,10 @@ class Chain:
     """The joints of a finger, from the palm to its end.
 
     Attributes:
-        joints: those that move independently.
-        moving: these and their followers.
-        bodies: the links that move with the last joint, first that joint's own link.
-        names: of all its joints and links.
+        joints: names of the joints that move independently.
+        moving: names of these joints and their followers.
+        bodies: links that move with the last joint, beginning with that joint's own link.
+        names: names of all its joints and links.
     """
 
     joints: list[str]
@@ -50,16 +50,16 @@ class Chain:
 
 @dataclass(frozen=True)
 class HandStructure:
-    """A model in a plant of its own, its root link R welded to the world.
+    """A model in a plant of its own, with its root link R welded to the world.
 
     Attributes:
         path: the model's file.
-        plant, scene_graph, hand: where it is loaded.
+        plant, scene_graph, hand: the plant, its scene graph and the model instance.
         root: name of R.
-        palm: links of the palm, first the one that carries most fingers.
-        chains: the fingers, 2 to 5.
+        palm: links of the palm, beginning with the one that carries most fingers.
+        chains: the 2 to 5 fingers.
         couplings: the joints that follow others.
-        held: joints that cannot be a finger's, and why.
+        held: joints that cannot belong to a finger, and the reason for each.
     """
 
     path: Path
@@ -77,12 +77,12 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     """Loads a model and finds its palm and fingers.
 
     Args:
-        path: of the model.
-        palm: the link that carries the fingers; by default the one that most chains leave.
+        path: path of the model.
+        palm: link that carries the fingers; by default the one from which most chains start.
 
     Raises:
         HandError: the model cannot be loaded, has fewer than two fingers, or is more than one hand.
-        UnknownNameError: it has no such link.
+        UnknownNameError: the model has no such link.
     """
     source = f"model {path}"
     if not path.is_file():
@@ -92,8 +92,8 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     for constraint in plant.GetConstraintIds():
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
-    everything = map(plant.get_joint, plant.GetJointIndices(hand))
-    joints = {joint.name(): joint for joint in everything if joint.num_positions()}
+    all_joints = map(plant.get_joint, plant.GetJointIndices(hand))
+    joints = {joint.name(): joint for joint in all_joints if joint.num_positions()}
     root, groups = _groups(plant, hand, palm)
     plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.Finalize()
@@ -113,7 +113,7 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     longest = sorted(fingers, key=len, reverse=True)
     if len(fingers) > MAX_FINGERS and len(longest[MAX_FINGERS]) == len(longest[MAX_FINGERS - 1]):
         raise HandError(
-            f"{source}: {len(fingers)} chains of joints leave {where}; expected one hand of 2 to "
+            f"{source}: {len(fingers)} chains of joints start at {where}; expected one hand of 2 to "
             f"{MAX_FINGERS} fingers"
         )
     fingers = [finger for finger in fingers if finger in longest[:MAX_FINGERS]]
@@ -125,8 +125,8 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
         in_chains = set(itertools.chain(*fingers))
         reasons = "".join(f"; '{name}' {why}" for name, why in held.items() if name in in_chains)
         raise HandError(
-            f"{source}: {len(chains)} chains of movable revolute joints leave {where}; expected a hand of 2 "
-            f"to {MAX_FINGERS} fingers{reasons}"
+            f"{source}: {len(chains)} chains of movable revolute joints start at {where}; expected a hand "
+            f"of 2 to {MAX_FINGERS} fingers{reasons}"
         )
     carried = Counter(joints[finger[0]].parent_body().index() for finger in fingers)
     links = sorted(groups[carrier], key=lambda body: -carried[body.index()])
@@ -136,13 +136,13 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
 def _groups(
     plant: MultibodyPlant, hand: ModelInstanceIndex, palm: str | None
 ) -> tuple[RigidBody, dict[Group, list[RigidBody]]]:
-    """The root link of the palm, and all groups of links that it carries, nearest first."""
+    """Returns the palm's root link, and all groups of links that it carries, nearest first."""
     by_root: dict[BodyIndex, dict[Group, list[RigidBody]]] = {}
     for index, path in joint_paths(plant, hand).items():
         root = path[0].parent_body().index() if path else index
         group = tuple(joint.name() for joint in path if joint.num_positions())
         links = by_root.setdefault(root, {}).setdefault(group, [])
-        # First the link that is not welded to another one towards the root.
+        # The link that is not welded to another one towards the root comes first.
         links.insert(len(links) if path and not path[-1].num_positions() else 0, plant.get_body(index))
 
     def rank(root: BodyIndex) -> tuple[bool, int]:
@@ -155,16 +155,16 @@ def _groups(
     return plant.get_body(root), dict(sorted(groups.items(), key=lambda item: len(item[0])))
 
 
-def _leaving(groups: dict[Group, list[RigidBody]]) -> Counter[Group]:
-    """How many joints leave each group."""
+def _outgoing_joints(groups: dict[Group, list[RigidBody]]) -> Counter[Group]:
+    """Counts the joints that start from each group."""
     return Counter(group[:-1] for group in groups if group)
 
 
 def _palm(groups: dict[Group, list[RigidBody]], palm: str | None) -> Group:
-    """The group that has the named link, or else the one nearest to the root that most joints leave."""
+    """Returns the group with the named link, or the one nearest to the root from which most joints start."""
     if palm is None:
-        leaving = _leaving(groups)
-        return max(groups, key=lambda group: leaving[group])
+        outgoing = _outgoing_joints(groups)
+        return max(groups, key=lambda group: outgoing[group])
     named = {body.name(): group for group, bodies in groups.items() for body in bodies}
     if palm not in named:
         raise UnknownNameError("link of the model", palm, named)
@@ -174,47 +174,47 @@ def _palm(groups: dict[Group, list[RigidBody]], palm: str | None) -> Group:
 def _require_one_hand(
     groups: dict[Group, list[RigidBody]], palm: Group, joints: dict[str, Joint], source: str
 ) -> None:
-    """Raises HandError for a model of several hands, or with an arm beside other chains."""
-    leaving = _leaving(groups)
-    branching = [group for group in groups if leaving[group] > 1]
-    palms = [group for group in branching if leaving[group] >= min(_HAND_FINGERS, leaving[palm])]
-    # Nearer groups come first.
-    apart = any(b[: len(a)] != a for a, b in itertools.combinations(palms, 2))
-    arm = any(_is_on(palm, group) and len(group) - len(palm) >= _ARM_JOINTS for group in branching)
-    if not apart and not arm:
+    """Raises HandError for a model of several hands, or with an arm in addition to other chains."""
+    outgoing = _outgoing_joints(groups)
+    branching = [group for group in groups if outgoing[group] > 1]
+    palms = [group for group in branching if outgoing[group] >= min(_MIN_PALM_CHAINS, outgoing[palm])]
+    # Groups nearer to the root come first.
+    separate = any(b[: len(a)] != a for a, b in itertools.combinations(palms, 2))
+    arm = any(_is_on(palm, group) and len(group) - len(palm) >= _MIN_ARM_JOINTS for group in branching)
+    if not separate and not arm:
         return
     choices = []
     for group in branching:
-        leaving_it = [joints[other[-1]] for other in groups if other and other[:-1] == group]
-        parents = [joint.parent_body().name() for joint in leaving_it]
+        starting = [joints[other[-1]] for other in groups if other and other[:-1] == group]
+        parents = [joint.parent_body().name() for joint in starting]
         choices.append(f"'{max(parents, key=parents.count)}'")
     raise HandError(
-        f"{source}: more than one hand: several chains of joints leave each of {', '.join(choices)}; give "
-        "the palm as --palm, or put the hand into a file of its own"
+        f"{source}: more than one hand: several chains of joints start at each of {', '.join(choices)}; "
+        "give the palm as --palm, or put the hand into a file of its own"
     )
 
 
 def _is_on(carrier: Group, group: Group) -> bool:
-    """Whether a group is the carrier, or carried by it."""
+    """Whether a group is the carrier or is carried by it."""
     return group[: len(carrier)] == carrier
 
 
 def _fingers(groups: dict[Group, list[RigidBody]], palm: Group, joints: dict[str, Joint]) -> list[Group]:
-    """The joints of each chain that may be a finger, from the palm on."""
-    leaving = _leaving(groups)
-    ends = [group[len(palm) :] for group in groups if _is_on(palm, group) and not leaving[group]]
+    """Returns the joints of each chain that may be a finger, from the palm on."""
+    outgoing = _outgoing_joints(groups)
+    ends = [group[len(palm) :] for group in groups if _is_on(palm, group) and not outgoing[group]]
     fingers: list[Group] = []
     for path in sorted(ends, key=len, reverse=True):
         branches = [finger for finger in fingers if finger[:1] == path[:1]]
         own = set(path).difference(*branches)
         revolute = any(isinstance(joints[name], RevoluteJoint) for name in path)
-        if revolute and (not branches or len(own) >= _OWN_JOINTS):
+        if revolute and (not branches or len(own) >= _MIN_BRANCH_JOINTS):
             fingers.append(path)
     return [path for path in ends if path in fingers]
 
 
 def _held_joints(joints: dict[str, Joint], fingers: list[Group], leaders: dict[str, str]) -> dict[str, str]:
-    """The joints that cannot be a finger's, and why."""
+    """Returns the joints that cannot belong to a finger, and the reason for each."""
     moved: dict[str, set[int]] = {}
     for number, finger in enumerate(fingers):
         for name in finger:
@@ -245,12 +245,12 @@ def _chain(
     leaders: dict[str, str],
     held: dict[str, str],
 ) -> Chain | None:
-    """A finger; None if none of its joints moves independently."""
+    """Makes the chain of a finger; returns None if none of its joints moves independently."""
     moving = [name for name in finger if leaders.get(name, name) not in held]
     own = [name for name in moving if name not in leaders]
     if not own:
         return None
-    # Links of each of its joints, from the palm on. Those beyond held joints move along.
+    # The links of each joint, from the palm on. Links beyond held joints move with the last moving joint.
     links = [groups[palm + finger[: number + 1]] for number in range(len(finger))]
     bodies = list(itertools.chain(*links[finger.index(moving[-1]) :]))
     names = [*finger, *(body.name() for body in itertools.chain(*links))]
