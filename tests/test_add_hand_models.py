@@ -175,7 +175,7 @@ def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
     proposal = propose(convert_model(model, tmp_path / "copy"))
     description = proposal.description
     assert description.ignored_collisions == [["middle_l1", "palm"]]
-    assert "shapes overlap are ignored: 'middle_l1' and 'palm'" in "\n".join(proposal.notes)
+    assert "overlapping shapes are ignored: 'middle_l1' and 'palm'" in "\n".join(proposal.notes)
     assert not any("touch in" in fault for fault in examine(HandModel(description)))
     description.ignored_collisions = []
     assert any("touch in" in fault for fault in examine(HandModel(description)))

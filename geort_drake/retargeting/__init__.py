@@ -1,1 +1,1 @@
-"""Numeric core: criteria, networks, training, checkpoints and the NumPy retargeter. No pydrake here."""
+"""Numeric core: criteria, networks, training, checkpoints and the NumPy retargeter, without pydrake."""

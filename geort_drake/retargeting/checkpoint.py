@@ -1,11 +1,11 @@
-"""Checkpoints: a trained retargeter on disk, with the hand it is for and its origin.
+"""Checkpoints: a trained retargeter on disk, with its robot hand and its origin.
 
-weights.safetensors   the arrays of the retargeter, and the fingertips' places in training
+weights.safetensors   the arrays of the retargeter, and the fingertip positions seen in training
 config.json           format, method, names, keypoints, units, training settings, digests
 hand.json             name, joint limits and model digest of the robot hand
 provenance.json       recording, seed, versions, timings, training figures
 history.csv           losses during training
-metrics.json          the evaluation, where one was made
+metrics.json          the evaluation, if there is one
 """
 
 import csv
@@ -39,7 +39,7 @@ _HAND_FIELDS = ("name", "joint_names", "finger_names", "lower", "upper", "model_
 
 
 class TrainedHand(Protocol):
-    """The part of a hand model that a checkpoint depends on."""
+    """The part of a hand model on which a checkpoint depends."""
 
     @property
     def joint_names(self) -> Sequence[str]: ...
@@ -51,7 +51,7 @@ class TrainedHand(Protocol):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Contents of a checkpoint directory, verified."""
+    """The verified contents of a checkpoint directory."""
 
     path: Path
     config: dict
@@ -61,7 +61,7 @@ class Checkpoint:
 
     @property
     def trained_space(self) -> TrainedSpace | None:
-        """The fingertips' places in training; None in a checkpoint of version 0.1, which lacks them.
+        """Fingertip positions seen in training; None in a checkpoint of version 0.1, which lacks them.
 
         Raises:
             CheckpointError: the array is malformed.
@@ -100,12 +100,12 @@ def save_checkpoint(
     """Writes a checkpoint directory atomically; replaces an earlier one.
 
     Args:
-        path: the directory.
-        arrays: of the retargeter, and under `TRAINED_POINTS` those of a `TrainedSpace`.
+        path: path of the directory.
+        arrays: arrays of the retargeter, and under `TRAINED_POINTS` that of a `TrainedSpace`.
         method: name of the retargeting method.
         hand: name, joint_names, finger_names, lower, upper, model_sha256, and other facts.
         human_keypoints: keypoint of each finger, in the order of finger_names.
-        training, provenance, metrics: JSON-ready settings, origin and evaluation.
+        training, provenance, metrics: settings, origin and evaluation; JSON types only.
         history: rows with equal keys.
 
     Raises:
@@ -113,7 +113,7 @@ def save_checkpoint(
     """
     check_replaceable(path)
     with atomic_directory(path) as draft:
-        # Not save_file, which raises no OSError when the disk is full.
+        # save_file would raise no OSError when the disk is full.
         (draft / WEIGHTS).write_bytes(
             save({name: np.ascontiguousarray(array) for name, array in arrays.items()})
         )
@@ -151,7 +151,7 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     """Reads and verifies a checkpoint directory.
 
     Raises:
-        CheckpointError: no such directory; a file is missing, altered or malformed; another format.
+        CheckpointError: the directory or a file is missing, altered, malformed, or of another format.
     """
     path = Path(path)
     if not path.is_dir():
@@ -169,7 +169,7 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
     config = _read_json(path / CONFIG, _CONFIG_FIELDS)
     if config["format"] != FORMAT:
         raise CheckpointError(f"{path / CONFIG}: format is {config['format']}, this version reads {FORMAT}")
-    _require(isinstance(config["method"], str), path / CONFIG, "method must be a text", config["method"])
+    _require(isinstance(config["method"], str), path / CONFIG, "method must be a string", config["method"])
     digests = config["sha256"]
     _require(isinstance(digests, dict), path / CONFIG, "sha256 must be an object", digests)
     if foreign := sorted(set(digests) - set(DIGESTED)):
@@ -190,11 +190,11 @@ def load_checkpoint(path: str | os.PathLike) -> Checkpoint:
                 f"{CONFIG} has {_listed(config[name])}"
             )
     for field in ("name", "model_sha256"):
-        _require(isinstance(hand[field], str), path / HAND, f"{field} must be a text", hand[field])
+        _require(isinstance(hand[field], str), path / HAND, f"{field} must be a string", hand[field])
     check_map(path, config | hand)
     try:
         arrays = load_file(path / WEIGHTS)
-    except Exception as error:  # safetensors raises its own and plain exceptions alike
+    except Exception as error:  # safetensors raises exceptions of its own and built-in ones
         raise CheckpointError(f"{path / WEIGHTS}: not a safetensors file: {error}") from error
     return Checkpoint(path, config, hand, _read_json(path / PROVENANCE, ()), arrays)
 
@@ -205,7 +205,7 @@ def _require(holds: bool, path: Path, message: str, value: object) -> None:
 
 
 def check_map(path: Path, fields: Mapping) -> None:
-    """Raises CheckpointError for wrong JSON data of a map: names, human_keypoints, and limits."""
+    """Raises CheckpointError unless names, human_keypoints and limits from a map's JSON are valid."""
     for field in ("finger_names", "joint_names"):
         names = fields[field]
         is_list = isinstance(names, list) and names and all(isinstance(name, str) for name in names)
@@ -226,7 +226,7 @@ def check_map(path: Path, fields: Mapping) -> None:
         is_list = isinstance(limits, list) and len(limits) == len(joints)
         _require(is_list, path, f"{field} must be a list of {len(joints)} numbers", limits)
         for joint, limit in zip(joints, limits, strict=True):
-            # Compared without conversion, because an integer may be too large for a float.
+            # Limits are not converted, because an integer may be too large for a float.
             number = isinstance(limit, int | float) and not isinstance(limit, bool)
             expected = f"{field} of '{joint}' must be a number within ±{MAX_ANGLE:g} rad"
             _require(number and abs(limit) <= MAX_ANGLE, path, expected, limit)

@@ -1,4 +1,4 @@
-"""The call of a retargeter for one hand, compiled by numba; `load_retargeter(path, backend="numba")`."""
+"""Retargeting of a single hand, compiled by numba; see `load_retargeter(path, backend="numba")`."""
 
 import math
 from collections.abc import Sequence
@@ -10,9 +10,9 @@ from numba import njit, types
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.aligned import aligned
 
-_LINE = 8  # numbers in a cache line
+_LINE = 8  # float64 numbers in a cache line
 # Sums may be reordered and fused; infinities and NaN stay exact.
-_FREEDOM = {"reassoc", "contract", "arcp", "nsz"}
+_FASTMATH = {"reassoc", "contract", "arcp", "nsz"}
 # Read-only arrays, to which numba converts writable ones.
 _POINTS, _PLAN, _WEIGHTS = (
     types.Array(kind, dimensions, "C", readonly=True)
@@ -21,10 +21,10 @@ _POINTS, _PLAN, _WEIGHTS = (
 
 
 class Layers(NamedTuple):
-    """A map of F fingers with H = F·w + r hidden units, w of each finger and r of the shared residual.
+    """Weights of a map of F fingers with H = F·w + r hidden units: w per finger, r of the shared residual.
 
-    It is tanh(silu(2 (silu(2 (x W0 + b0)) W1 + b1)) W2 + b2) · half_range + centre; W1 has the blocks `own`
-    and `shared` on its diagonal.
+    q = tanh(silu(2 (silu(2 (x W0 + b0)) W1 + b1)) W2 + b2) · half_range + centre, where W1 has the blocks
+    `own` and `shared` on its diagonal.
     """
 
     bias0: np.ndarray  # (H,)
@@ -39,9 +39,9 @@ class Layers(NamedTuple):
 
 
 class OneHand:
-    """The call of a `Retargeter` for one hand, in half the time; results agree to rounding.
+    """Evaluates a `Retargeter` for one hand in half the time; results agree to rounding.
 
-    Returns None for several hands and for unusable input, which the retargeter then handles.
+    A call returns None for several hands and for unusable input, which the retargeter then handles.
     """
 
     def __init__(self, layers: Layers, human_keypoints: Sequence[int]):
@@ -51,12 +51,12 @@ class OneHand:
         sizes = (width, len(layers.shared), len(layers.bias2))
         self._fingertips = np.array([*sizes, *range(fingers)], dtype=np.int64)
         self._keypoints = np.array([*sizes, *human_keypoints], dtype=np.int64)
-        # `_angles` reads them in this order.
+        # `_angles` reads the weights in this order.
         parts = layers._replace(weight2=layers.weight2.T)
         self._weights = aligned(np.concatenate([_padded(part) for part in parts]))
 
     def __call__(self, points: np.ndarray) -> np.ndarray | None:
-        """Joint angles (n,), rad, of fingertips p_HF (F, 3) or keypoints p_HK (21, 3), m."""
+        """Computes joint angles (n,), rad, of fingertips p_HF (F, 3) or keypoints p_HK (21, 3), m."""
         points = np.ascontiguousarray(points, dtype=float)
         if points.shape == (KEYPOINT_COUNT, 3):
             plan = self._keypoints
@@ -74,9 +74,9 @@ def _padded(part: np.ndarray) -> np.ndarray:
     return np.pad(part.ravel(), (0, -part.size % _LINE))
 
 
-@njit(fastmath=_FREEDOM, error_model="numpy", cache=True)
+@njit(fastmath=_FASTMATH, error_model="numpy", cache=True)
 def _add_product(x: np.ndarray, W: np.ndarray, y: np.ndarray) -> None:
-    """y += x W, with W flat, row by row; eight rows at a time, so that y is read and written less often."""
+    """Adds x W to y, with W flat by rows; takes eight rows at a time to read and write y less often."""
     n = len(y)
     eights = len(x) // 8 * 8
     for i in range(0, eights, 8):
@@ -95,9 +95,9 @@ def _add_product(x: np.ndarray, W: np.ndarray, y: np.ndarray) -> None:
             y[j] += x[i] * row0[j]
 
 
-@njit(fastmath=_FREEDOM, error_model="numpy", inline="always")
+@njit(fastmath=_FASTMATH, error_model="numpy", inline="always")
 def _exp(x: float) -> float:
-    """exp(x) to 1e-12, with x clipped to ±40; its series at x/64 is vectorised by the compiler."""
+    """Computes exp(x) to 1e-12, with x clipped to ±40, by a series at x/64 that the compiler vectorises."""
     x = x if x < 40.0 else 40.0
     x = x if x > -40.0 else -40.0
     x *= 1.0 / 64.0
@@ -109,23 +109,23 @@ def _exp(x: float) -> float:
     return e
 
 
-@njit(fastmath=_FREEDOM, error_model="numpy", cache=True)
+@njit(fastmath=_FASTMATH, error_model="numpy", cache=True)
 def _silu(u: np.ndarray) -> None:
-    """u becomes silu(2u) = 2u / (1 + exp(−2u))."""
+    """Replaces u by silu(2u) = 2u / (1 + exp(−2u))."""
     for j in range(len(u)):
         u[j] = 2.0 * u[j] / (1.0 + _exp(-2.0 * u[j]))
 
 
-@njit(fastmath=_FREEDOM, error_model="numpy", cache=True)
+@njit(fastmath=_FASTMATH, error_model="numpy", cache=True)
 def _tanh(y: np.ndarray) -> None:
-    """y becomes tanh(y) = 2 / (1 + exp(−2y)) − 1."""
+    """Replaces y by tanh(y) = 2 / (1 + exp(−2y)) − 1."""
     for j in range(len(y)):
         y[j] = 2.0 / (1.0 + _exp(-2.0 * y[j])) - 1.0
 
 
-@njit(fastmath=_FREEDOM, error_model="numpy", cache=True)
+@njit(fastmath=_FASTMATH, error_model="numpy", cache=True)
 def _add_dots(W: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
-    """y += W x, with W flat, row by row; four rows at a time, so that x is read less often."""
+    """Adds W x to y, with W flat by rows; takes four rows at a time to read x less often."""
     n = len(x)
     fours = len(y) // 4 * 4
     for i in range(0, fours, 4):
@@ -148,13 +148,13 @@ def _add_dots(W: np.ndarray, x: np.ndarray, y: np.ndarray) -> None:
 
 @njit
 def _split(weights: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """The first `size` numbers, and those from the next cache line on."""
+    """Returns the first `size` numbers, and those from the next cache line on."""
     return weights[:size], weights[(size + _LINE - 1) // _LINE * _LINE :]
 
 
-@njit(types.float64[::1](_POINTS, _PLAN, _WEIGHTS), fastmath=_FREEDOM, error_model="numpy", cache=True)
+@njit(types.float64[::1](_POINTS, _PLAN, _WEIGHTS), fastmath=_FASTMATH, error_model="numpy", cache=True)
 def _angles(points: np.ndarray, plan: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Joint angles of the fingertips in rows plan[3:] of points; empty if a coordinate is not finite."""
+    """Computes joint angles of the fingertips in rows plan[3:] of points; empty if these are not finite."""
     width, shared, joints = plan[0], plan[1], plan[2]
     fingers = len(plan) - 3
     x = np.empty(3 * fingers)

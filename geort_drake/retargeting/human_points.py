@@ -1,4 +1,4 @@
-"""Human fingertips from the input of a retargeter."""
+"""Extracts human fingertips from the input of a retargeter."""
 
 import math
 from collections.abc import Sequence
@@ -10,14 +10,14 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 
 
 class HumanPoints:
-    """Selects the fingertips of whole hands and checks them; the first step of every retargeter.
+    """Selects and checks the fingertips of hands; the first step of every retargeter.
 
     Attributes:
         keypoints: (F,) numbers of the keypoints that are the fingertips.
     """
 
     def __init__(self, finger_names: Sequence[str], human_keypoints: Sequence[int] | None = None):
-        """`human_keypoints` are the keypoints of the fingertips; None goes by the names.
+        """Takes the keypoints of the fingertips; without them, the fingers' names determine them.
 
         Raises:
             UnknownNameError: a finger's name has no keypoint.
@@ -31,7 +31,7 @@ class HumanPoints:
         self.keypoints = np.array(human_keypoints, dtype=int)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Fingertips (F, 3) or (N, F, 3) of fingertips or whole hands (21, 3) or (N, 21, 3), m.
+        """Returns fingertips (F, 3) or (N, F, 3), m, of fingertips or of whole hands (21, 3) or (N, 21, 3).
 
         Raises:
             ValueError: points have another shape.

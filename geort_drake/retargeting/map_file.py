@@ -1,6 +1,6 @@
-"""Files of universal maps: weights, the robot hands that they are for, and their origin.
+"""Files of universal maps: their weights, robot hands and origin.
 
-A map is one safetensors file. Its header contains texts: the format, and as JSON hands (name → digest of the
+A map is a single safetensors file. Its header contains the format and, as JSON, hands (name → digest of the
 model), finger_names, joint_names, human_keypoints, lower, upper, training and provenance.
 """
 
@@ -32,11 +32,11 @@ class MapFile:
     """Contents of a map's file.
 
     Attributes:
-        arrays: of `UniversalRetargeter`.
-        hands: robot hands that the map is for: name → digest of the model. A left hand that is the mirror
-            image of a right one has its map.
-        finger_names, joint_names, human_keypoints, lower, upper: as of `UniversalRetargeter`.
-        training, provenance: settings and origin, JSON-ready.
+        arrays: arrays of `UniversalRetargeter`.
+        hands: name → model digest of each robot hand for which the map was made. A left hand that mirrors a
+            right one has the same map.
+        finger_names, joint_names, human_keypoints, lower, upper: as in `UniversalRetargeter`.
+        training, provenance: settings and origin; JSON types only.
     """
 
     arrays: Mapping[str, np.ndarray]
@@ -50,11 +50,11 @@ class MapFile:
     provenance: Mapping
 
     def save(self, path: str | os.PathLike) -> None:
-        """Writes the file atomically, numbers in single precision.
+        """Writes the file atomically, with numbers in single precision.
 
         Raises:
-            CheckpointError: it would be larger than 1 MiB.
-            OutputError: it cannot be written.
+            CheckpointError: the file would be larger than 1 MiB.
+            OutputError: the file cannot be written.
         """
         arrays = {
             name: np.ascontiguousarray(array, dtype=np.int64 if name == "columns" else np.float32)
@@ -68,7 +68,7 @@ class MapFile:
             draft.write_bytes(contents)
 
     def check_hand(self, path: str | os.PathLike, hand: TrainedHand) -> None:
-        """Raises CheckpointError unless the map is for `hand`."""
+        """Raises CheckpointError, which names `path`, unless the map is for `hand`."""
         given = (tuple(hand.joint_names), tuple(hand.finger_names))
         if given != (tuple(self.joint_names), tuple(self.finger_names)) or (
             hand.digest not in self.hands.values()
@@ -87,14 +87,14 @@ def load_map(path: str | os.PathLike) -> MapFile:
     """
     path = Path(path)
     if not path.is_file():
-        raise CheckpointError(f"{path}: no such file of a map")
+        raise CheckpointError(f"{path}: no such map file")
     if (size := path.stat().st_size) > MAX_BYTES:
         raise CheckpointError(f"{path}: a map has at most {MAX_BYTES} bytes, this file has {size}")
     try:
         with safe_open(path, "numpy") as file:
             header = file.metadata() or {}
             arrays = {name: file.get_tensor(name) for name in file.keys()}
-    except Exception as error:  # safetensors raises its own and plain exceptions alike
+    except Exception as error:  # safetensors raises exceptions of its own and built-in ones
         raise CheckpointError(f"{path}: not a safetensors file: {error}") from error
     if header.get("format") != FORMAT:
         raise CheckpointError(f"{path}: format is {header.get('format')}, this version reads {FORMAT}")
@@ -112,7 +112,7 @@ def load_map(path: str | os.PathLike) -> MapFile:
 
 
 def shipped_maps() -> dict[str, Path]:
-    """The maps shipped with the package: name of the robot hand → file."""
+    """Returns the maps shipped with the package: name of the robot hand → file."""
     return {
         hand: path
         for path in sorted((models_dir() / "maps").glob(f"*{SUFFIX}"))
@@ -121,7 +121,7 @@ def shipped_maps() -> dict[str, Path]:
 
 
 def _plain(value: object) -> object:
-    """The value as JSON has it."""
+    """Converts arrays, mappings and sequences to JSON types."""
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):

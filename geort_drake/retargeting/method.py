@@ -1,4 +1,4 @@
-"""The interface of a retargeting method: its settings, its training data and its result.
+"""The interface of retargeting methods: settings, training data and results.
 
 `geort_drake.retargeting.methods` lists the methods.
 """
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
     from geort_drake.retargeting.training.networks import RetargetingNetwork
 
-# From human points (F, 3), (N, F, 3), (21, 3) or (N, 21, 3) in m to joint angles (n,) or (N, n) in rad.
+# Maps human points (F, 3), (N, F, 3), (21, 3) or (N, 21, 3), m, to joint angles (n,) or (N, n), rad.
 Retarget = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """Settings that all trained methods have; each method adds its own in a subclass."""
+    """Settings common to all trained methods; each method adds its own in a subclass."""
 
     steps: int = 5000  # gradient steps
     learning_rate: float = 5e-3  # of the first step; falls to zero along half a cosine
@@ -36,10 +36,10 @@ class TrainingConfig:
 
 
 def check_numbers(config: TrainingConfig, may_be_zero: Collection[str] = ()) -> None:
-    """Checks that settings are finite and positive; texts are not checked.
+    """Checks that numeric settings are finite and positive.
 
-    Those named `*_weight` and `*_spread`, and those in `may_be_zero`, may be zero; those named `*_fraction`
-    are from 0 to 1.
+    Settings named `*_weight` or `*_spread`, and those in `may_be_zero`, may be zero; those named `*_fraction`
+    must be from 0 to 1.
 
     Raises:
         TrainingError: a number is out of range.
@@ -58,15 +58,15 @@ def check_numbers(config: TrainingConfig, may_be_zero: Collection[str] = ()) -> 
 
 @dataclass(frozen=True)
 class TrainingData:
-    """The data for training. Expensive parts are functions, which a method calls if it needs them.
+    """Data for training. Expensive parts are functions, which a method calls if it needs them.
 
     Attributes:
-        p_HF: (T, F, 3) human fingertips in H, m: successive frames, fingers as in `kinematics`.
+        p_HF: (T, F, 3) human fingertips in H, m, in successive frames; fingers as in `kinematics`.
         kinematics: exact kinematics of the robot hand.
-        q: (N, n) robot joint angles, uniform within the limits, rad.
-        labels: returns for each row of q whether the hand collides there (N,), ignoring contact between two
+        q: (N, n) robot joint angles, rad, uniform within the limits.
+        labels: returns (N,) whether the hand collides at each row of q, ignoring contacts between
             fingertips.
-        collides: the same for any joint angles (M, n).
+        collides: does the same for any joint angles (M, n), rad.
         shapes: returns the hand's collision geometry.
     """
 
@@ -90,13 +90,13 @@ class TrainingData:
 
 @dataclass
 class TrainingResult:
-    """A trained network, and how its training went."""
+    """A trained network and figures of its training."""
 
     network: "RetargetingNetwork"
     history: list[dict[str, float]]
-    timings: dict[str, float] = field(default_factory=dict)  # wall seconds
+    timings: dict[str, float] = field(default_factory=dict)  # wall time, s
     stopped_at: int | None = None  # the step at which the loss stopped being finite
-    human_points: dict[str, int] = field(default_factory=dict)  # per finger, after thinning
+    human_points: dict[str, int] = field(default_factory=dict)  # number per finger, after thinning
     pinch_frames: int = 0
     classifier: dict[str, float] = field(default_factory=dict)  # held-out figures
     neural_kinematics: dict[str, float] = field(default_factory=dict)  # held-out errors; empty if exact
@@ -107,14 +107,14 @@ class TrainedMethod:
     """A method that learns a map, which is stored in a checkpoint.
 
     Attributes:
-        name: as in commands and in a checkpoint's config.json.
+        name: name in commands and in a checkpoint's config.json.
         summary: one line for --help.
-        config: type of its settings.
+        config: type of the settings.
         train: called as train(data, config=None, seed=0, device="cpu", report=None); returns a
-            `TrainingResult`. The seed determines the initial weights and every draw; the device is "cpu" or
-            "cuda"; for `report` see `Report`. Raises TrainingError on unusable input, or when the loss is not
-            finite from the start; for later divergence see `descend`.
-        retargeter: makes the map from the arrays of a checkpoint, with the arguments of `Retargeter`.
+            `TrainingResult`. The seed determines the initial weights and all draws; the device is "cpu" or
+            "cuda"; for `report` see `Report`. Raises TrainingError for unusable input or a loss that is not
+            finite at the first step; for later divergence see `descend`.
+        retargeter: makes the map from the arrays of a checkpoint; takes the arguments of `Retargeter`.
     """
 
     name: str
@@ -129,7 +129,7 @@ class ShippedMethod:
     """A universal map that is shipped for a robot hand; `shipped_map` finds it.
 
     Attributes:
-        name, summary: as of `TrainedMethod`.
+        name, summary: as in `TrainedMethod`.
     """
 
     name: str
@@ -141,8 +141,8 @@ class UntrainedMethod:
     """A method that needs no training.
 
     Attributes:
-        name, summary: as of `TrainedMethod`.
-        make: makes the map, called as make(kinematics, human_keypoints, frames, seed); see
+        name, summary: as in `TrainedMethod`.
+        make: called as make(kinematics, human_keypoints, frames, seed); returns the map. See
             `methods.make_untrained`.
     """
 

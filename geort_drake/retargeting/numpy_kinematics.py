@@ -1,6 +1,6 @@
 """Exact fingertip kinematics and Jacobians of a hand in NumPy, batched.
 
-The counterpart of `HandKinematics` for methods that optimise at run time, without torch.
+This is the counterpart of `HandKinematics` for methods that optimise at run time without torch.
 """
 
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ from geort_drake.retargeting.rotations import cross_matrices
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
-# Joint limits of many turns are mistakes, and could cause overflow.
+# Joint limits of many turns are mistakes and could cause overflow.
 MAX_ANGLE = 100.0  # rad
 
 
@@ -33,11 +33,11 @@ class NumpyKinematics:
         self.lower, self.upper = kinematics.lower, kinematics.upper
         self.tip_radius, self.p_BW = kinematics.tip_radius, kinematics.p_BW
         free, coupling = kinematics.uncoupled()
-        # Joints that follow others come after q: (N, n); None where there are none.
+        # Angles of all N joints, followers last, per q: (N, n); None without followers.
         n = len(coupling)
         self._coupling = coupling if n > len(self.joint_names) else None
         fingers, k = len(free.fingers), max(len(finger.joint_indices) for finger in free.fingers)
-        # A finger with fewer joints gets fixed ones at its base, which read the unused angle n.
+        # Shorter fingers get fixed joints at their base, which read the unused angle n.
         indices = np.full((fingers, k), n)
         X = np.tile(np.eye(4), (fingers, k, 1, 1))
         axes = np.zeros((fingers, k, 3))
@@ -54,11 +54,11 @@ class NumpyKinematics:
         self._indices = indices
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
-        """Fingertip points p_BF, (N, F, 3) in m, for joint angles (N, n) in rad."""
+        """Computes fingertip points p_BF (N, F, 3), m, at joint angles q (N, n), rad."""
         return self.fingertips_and_jacobians(q)[0]
 
     def fingertips_and_jacobians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """p_BF (N, F, 3) in m and ∂p_BF/∂q (N, F, 3, n) in m/rad, for joint angles (N, n) in rad."""
+        """Computes p_BF (N, F, 3), m, and ∂p_BF/∂q (N, F, 3, n), m/rad, at joint angles q (N, n), rad."""
         if self._coupling is not None:
             q = q @ self._coupling.T
         count, n = q.shape

@@ -1,4 +1,4 @@
-"""The trained map of independent fingers in NumPy."""
+"""A trained map with independent fingers, in NumPy."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -17,9 +17,9 @@ _MAX_WEIGHT = 1e6
 class Retargeter:
     """Maps human fingertips to robot joint angles with a trained network; needs only NumPy.
 
-    The per-finger networks, 3 → hidden → hidden → joints, are evaluated as one of 3F → H → H → n.
+    The per-finger networks, 3 → hidden → hidden → joints, are evaluated as a single one, 3F → H → H → n.
 
-    Stateless and safe to share between threads; returned arrays belong to the caller.
+    Stateless and thread-safe; returned arrays belong to the caller.
 
     Attributes:
         finger_names: F fingers, in the order of the inputs.
@@ -47,15 +47,15 @@ class Retargeter:
 
         Args:
             arrays: weight0 (F, 3, h), bias0 (F, 1, h), weight1 (F, h, h), bias1 (F, 1, h),
-                weight2 (F, h, k), bias2 (F, 1, k); columns (n,), which of the F·k outputs is joint j.
+                weight2 (F, h, k), bias2 (F, 1, k); columns (n,), the number of joint j among the F·k outputs.
             finger_names: F names.
             joint_names: n names.
             human_keypoints: F numbers of the keypoints that are the human fingertips.
             lower, upper: (n,) joint limits, rad.
 
         Raises:
-            CheckpointError: an array is missing, of a wrong shape, not finite or beyond ±1e6; or a joint
-                limit is not finite or beyond ±100 rad.
+            CheckpointError: an array is missing, has a wrong shape, is not finite or exceeds ±1e6; or a joint
+                limit is not finite or exceeds ±100 rad.
         """
         self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
         self.human_keypoints = tuple(human_keypoints)
@@ -65,7 +65,7 @@ class Retargeter:
                 raise CheckpointError(f"{name} must be finite and within ±{MAX_ANGLE:g} rad, it is {limits}")
         self._fingertips = HumanPoints(finger_names, human_keypoints)
         self._centre = 0.5 * (self.lower + self.upper)
-        # Rounding must not carry a saturated output past its limit.
+        # Rounding must not move a saturated output beyond its limit.
         self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)
         self._set_weights(arrays)
 
@@ -101,7 +101,7 @@ class Retargeter:
                 in the wrist frame H, m.
 
         Returns:
-            (n,) or (N, n).
+            Joint angles (n,) or (N, n), rad.
 
         Raises:
             ValueError: points have another shape.
@@ -127,11 +127,11 @@ class Retargeter:
         """Compiles calls for one hand with numba, which halves their time; results agree to 1e-12 rad.
 
         Raises:
-            GeortError: numba is not installed, or has no place for its cache.
+            GeortError: numba is not installed, or finds no writable folder for its cache.
         """
         try:
             from geort_drake.retargeting.compiled import Layers, OneHand
-        except (ImportError, RuntimeError) as error:  # RuntimeError: no place for its cache
+        except (ImportError, RuntimeError) as error:  # RuntimeError: no folder for the cache
             raise GeortError(
                 f"the backend 'numba' needs the package numba: pip install numba ({error})"
             ) from error
@@ -149,17 +149,17 @@ class Retargeter:
         self._one_hand = OneHand(layers, self._fingertips.keypoints.tolist())
 
     def value_and_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Computes joint angles q and ∂q/∂p_HF of one hand, at the cost of the Jacobian alone.
+        """Computes joint angles q and ∂q/∂p_HF of one hand, in the time of the Jacobian alone.
 
         Args:
             points: fingertips p_HF (F, 3) or a whole hand p_HK (21, 3), in the wrist frame H, m.
 
         Returns:
-            q (n,) in rad, as from the call, and J (n, F, 3) in rad/m: J[j, f] is the gradient of joint j with
+            q (n,), rad, as from a call, and J (n, F, 3), rad/m: J[j, f] is the gradient of joint j with
             respect to fingertip f. Other keypoints have no influence.
 
         Raises:
-            ValueError: points have another shape, or are several hands.
+            ValueError: points have another shape, or are more than one hand.
             GeortError: a coordinate is not finite.
         """
         p_HF = self._fingertips(points)
@@ -186,7 +186,7 @@ class Retargeter:
         return self.value_and_jacobian(points)[1]
 
     def _layer1(self, h: np.ndarray, u: np.ndarray) -> None:
-        """Layer 1 without its bias, from h (H,) or (N, H) into u of the same shape."""
+        """Writes layer 1 of h (H,) or (N, H), without its bias, into u of the same shape."""
         if h.ndim == 1:
             np.matmul(
                 h[self._own].reshape(self._finger_shape),
@@ -199,7 +199,7 @@ class Retargeter:
             np.matmul(h[:, self._own].reshape(shape).swapaxes(0, 1), self._weight1, out=out)
 
     def _gradient(self, slope0: np.ndarray, slope1: np.ndarray) -> np.ndarray:
-        """Derivative (3F, n) of the input of the tanh, for the slopes (H,) of the activations."""
+        """Returns the derivative (3F, n) of the input of the tanh, given the activations' slopes (H,)."""
         # Forward mode, because a finger has fewer coordinates than joints.
         chain = (self._finger_weight0 * slope0[self._own].reshape(self._finger_shape)) @ self._weight1
         chain *= slope1[self._own].reshape(self._finger_shape)
@@ -208,7 +208,7 @@ class Retargeter:
 
 
 def _silu(u: np.ndarray) -> np.ndarray:
-    """silu(2u) = u + u tanh u, which overflows nowhere."""
+    """Computes silu(2u) = u + u tanh u, which never overflows."""
     h = np.tanh(u)
     h *= u
     h += u
@@ -216,7 +216,7 @@ def _silu(u: np.ndarray) -> np.ndarray:
 
 
 def _silu_and_slope(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """silu(2u) and its derivative with respect to u."""
+    """Computes silu(2u) and its derivative with respect to u."""
     s = np.tanh(u)
     s += 1.0
     h = s * u
@@ -227,7 +227,7 @@ def _silu_and_slope(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
-    """(G·a, G·b) of blocks (G, a, b)."""
+    """Returns the block-diagonal matrix (G·a, G·b) of blocks (G, a, b)."""
     count, rows, columns = blocks.shape
     full = np.zeros((count, rows, count, columns))
     full[np.arange(count), :, np.arange(count)] = blocks
@@ -235,7 +235,7 @@ def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
 
 
 def checked_array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """The named array, checked; −1 in `shape` stands for any size but 0."""
+    """Returns the named array; raises CheckpointError if it is unusable. −1 in `shape` is any size but 0."""
     if name not in arrays:
         raise CheckpointError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
     value = arrays[name]

@@ -1,7 +1,7 @@
-"""The person code: numbers that describe a person to the universal map, as input beside the fingertips.
+"""The person code: numbers that describe a person to the universal map, in addition to the fingertips.
 
-The code contains the shape of the hand and the reach of each fingertip. Reach is the mean and the covariance
-of the places that a fingertip visited, however long it stayed there. A Bayesian estimate starts at the
+The code contains the shape of the hand and the reach of each fingertip. Reach is the mean and covariance of
+the places that a fingertip visited, regardless of how long it stayed there. A Bayesian estimate starts at the
 average person's reach and approaches the observed one as places are added.
 """
 
@@ -14,22 +14,22 @@ from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, TIP_KE
 from geort_drake.retargeting.clouds import first_in_voxels
 
 PLACE = 0.005  # m; edge of the voxels that count as one place
-_WEIGHTS = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0)  # of the average person, in places
+_WEIGHTS = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0)  # candidates for the prior's, in places
 _LOWER = np.tril_indices(3)
-# Parts of the code, and how many numbers each has of a finger.
+# Parts of the code, and the count of numbers of each per finger.
 CODE_PARTS = {"base": 3, "length": 1, "reach": 3, "spread": 1, "covariance": 6, "places": 1}
 CODE_SIZE = sum(CODE_PARTS.values())
 
 
 @dataclass(frozen=True)
 class Observation:
-    """What some frames show of a person, for F fingers.
+    """Statistics of a person's F fingers over some frames.
 
     Attributes:
-        knuckles: (F, 3) base points of the fingers (of the thumb, its CMC) in H, m; medians over the frames.
-        lengths: (F,) from base to tip along the bones, m; medians.
+        knuckles: (F, 3) base points of the fingers (the thumb's CMC) in H, m; medians over the frames.
+        lengths: (F,) lengths from base to tip along the bones, m; medians over the frames.
         places: (F,) number of places that the tip visited.
-        mean: (F, 3) of these places relative to the knuckle, over the finger's length.
+        mean: (F, 3) mean of these places relative to the knuckle, over the finger's length.
         scatter: (F, 3, 3) sum over these places of the outer products of their deviations from the mean.
     """
 
@@ -41,7 +41,7 @@ class Observation:
 
 
 def observe(p_HK: np.ndarray, finger_names: Sequence[str]) -> Observation:
-    """Observes a person in finite keypoints p_HK (T, 21, 3), m; T is at least 1."""
+    """Computes the statistics of a person from finite keypoints p_HK (T, 21, 3), m, with T ≥ 1."""
     chains = np.array([FINGER_KEYPOINTS[name] for name in finger_names])
     bones = np.linalg.norm(np.diff(p_HK[:, chains], axis=2), axis=-1)
     knuckles = np.median(p_HK[:, [BASE_KEYPOINT[name] for name in finger_names]], axis=0)
@@ -59,12 +59,12 @@ def observe(p_HK: np.ndarray, finger_names: Sequence[str]) -> Observation:
 
 @dataclass(frozen=True)
 class AveragePerson:
-    """The reach of an average person, and how much it counts: a normal-inverse-Wishart prior.
+    """The reach of an average person and its weight: a normal-inverse-Wishart prior.
 
     Attributes:
-        mean: (F, 3) of the places that a tip visits; see `Observation`.
-        covariance: (F, 3, 3) of these places.
-        mean_weight, covariance_weight: number of places that the average person counts for.
+        mean: (F, 3) mean of the places that a tip visits; see `Observation`.
+        covariance: (F, 3, 3) covariance of these places.
+        mean_weight, covariance_weight: number of observed places to which the prior is equivalent.
     """
 
     mean: np.ndarray
@@ -73,10 +73,10 @@ class AveragePerson:
     covariance_weight: float
 
     def code(self, observation: Observation) -> np.ndarray:
-        """The code (15 F,) of a person, float32.
+        """Computes the code (15 F,) of a person, float32.
 
-        Finger by finger within each part: knuckles (3), length, mean of the reach (3), its spread (root of
-        the mean variance of an axis), its covariance as a Cholesky factor (6), log of 1 + places.
+        Its parts, each for all fingers: knuckle (3), length, mean of the reach (3), its spread (root of the
+        mean variance per axis), its covariance as a Cholesky factor (6), log of 1 + places.
         """
         n, weight = observation.places, self.mean_weight
         mean = (n[:, None] * observation.mean + weight * self.mean) / (n + weight)[:, None]
@@ -92,23 +92,23 @@ class AveragePerson:
         return np.concatenate([np.ravel(part) for part in parts]).astype(np.float32)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The person as arrays, for files."""
+        """Returns the prior as arrays, for files."""
         weights = np.array([self.mean_weight, self.covariance_weight])
         return {"reach_mean": self.mean, "reach_covariance": self.covariance, "reach_weights": weights}
 
     @staticmethod
     def of_arrays(arrays: Mapping[str, np.ndarray]) -> "AveragePerson":
-        """The person of `arrays`."""
+        """Makes the prior from the result of `arrays`."""
         weights = map(float, arrays["reach_weights"])
         return AveragePerson(arrays["reach_mean"], arrays["reach_covariance"], *weights)
 
 
 def average_person(whole: Sequence[Observation], parts: Sequence[Sequence[Observation]]) -> AveragePerson:
-    """Averages people, and finds the weights with which parts of a play predict the whole play best.
+    """Averages people, and finds the weights with which parts of a play best predict the whole play.
 
     Args:
-        whole: N observations of whole plays.
-        parts: of each of these people, observations of parts of the play.
+        whole: observations of the whole plays of N people.
+        parts: observations of parts of each person's play.
     """
     covariances = np.array([each.scatter / each.places[:, None, None] for each in whole])
     means = np.array([each.mean for each in whole])

@@ -1,4 +1,4 @@
-"""Observes a person frame by frame, as `observe` does with all frames at once."""
+"""Observes a person frame by frame; `observe` does the same with all frames at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,24 +9,24 @@ from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.retargeting.clouds import voxel_index
 from geort_drake.retargeting.person_code import PLACE, Observation
 
-WINDOW = 1000  # frames, whose medians are the shape of the hand
-RECENT = 40  # frames that show another person
-# They do if the logarithms of the bones' lengths change by more than this and these deviations, in the mean.
+WINDOW = 1000  # frames over which the shape of the hand is a median
+RECENT = 40  # frames that are compared with earlier ones to detect another person
+# Another person: log bone lengths change on average by more than CHANGE plus DEVIATIONS median deviations.
 CHANGE, DEVIATIONS = 0.03, 1.5
-MIN_BONE = 0.002  # m; frames with shorter ones are of no hand
-_VOXELS = 4096  # along an axis, so places within 10 m of the wrist
+MIN_BONE = 0.002  # m; a frame with a shorter bone shows no hand
+_VOXELS = 4096  # along an axis, which covers 10 m around the wrist
 
 
 @dataclass(frozen=True)
 class PersonObserver:
-    """What has been seen of a person; each new frame gives a new observer.
+    """The state of observing a person; each new frame gives a new observer.
 
     Attributes:
-        finger_names: F fingers.
-        shapes: (T, F, 6) base point and the lengths of the three bones of each finger in the last frames, m;
-            T is at most `WINDOW`.
+        finger_names: names of the F fingers.
+        shapes: (T, F, 6) base point and three bone lengths of each finger in the last T ≤ `WINDOW` frames,
+            m.
         visited: sorted numbers of the voxels that the fingertips visited.
-        places: (F,) how many.
+        places: (F,) number of voxels that each fingertip visited.
         sums, squares: (F, 3), (F, 3, 3) sums of the first fingertip in each voxel and of its outer product.
     """
 
@@ -39,14 +39,14 @@ class PersonObserver:
 
     @classmethod
     def empty(cls, finger_names: Sequence[str]) -> "PersonObserver":
-        """An observer that has seen no frame."""
+        """Makes an observer that has seen no frame."""
         F = len(finger_names)
         shapes, visited = np.zeros((0, F, 6)), np.zeros(0, dtype=np.int64)
         return cls(tuple(finger_names), shapes, visited, np.zeros(F), np.zeros((F, 3)), np.zeros((F, 3, 3)))
 
     def seeing(self, p_HK: np.ndarray) -> "PersonObserver":
-        """The observer after one more frame of finite keypoints p_HK (21, 3), m; one with a bone shorter than
-        `MIN_BONE` does not count."""
+        """Returns the observer after one more frame of finite keypoints p_HK (21, 3), m; a frame with a bone
+        shorter than `MIN_BONE` is ignored."""
         chains = p_HK[[FINGER_KEYPOINTS[name] for name in self.finger_names]]
         bones = np.diff(chains, axis=1)
         lengths = np.sqrt(np.square(bones).sum(axis=2))
@@ -70,7 +70,7 @@ class PersonObserver:
         )
 
     def observation(self) -> Observation:
-        """What the frames show; at least one has been seen."""
+        """Returns the observation from all frames so far, at least one."""
         shape = np.median(self.shapes, axis=0)
         knuckles, lengths = shape[:, :3], shape[:, 3:].sum(axis=1)
         n = self.places[:, None]
@@ -80,9 +80,9 @@ class PersonObserver:
         return Observation(knuckles, lengths, self.places, mean, scatter / np.square(lengths)[:, None, None])
 
     def has_changed(self) -> bool:
-        """Whether the last `RECENT` frames show other bones than those before, as of another person.
+        """Returns whether the last `RECENT` frames show other bones than those before, as of another person.
 
-        A camera's errors count as deviations. At least as many frames must have been seen before.
+        A camera's errors count as deviations. With fewer than 2 `RECENT` frames, the result is False.
         """
         if len(self.shapes) < 2 * RECENT:
             return False

@@ -1,4 +1,4 @@
-"""Loads a trained map from human hands to robot joints.
+"""Loads trained maps from human hands to robot joints.
 
 retarget = load_retargeter("allegro_right")
 q = retarget(p_HK)
@@ -22,7 +22,7 @@ __all__ = ["BACKENDS", "Retargeter", "UniversalRetargeter", "load_retargeter", "
 
 
 def shipped_map(hand: TrainedHand) -> Path:
-    """The file of the universal map that is shipped for `hand`.
+    """Returns the file of the universal map that is shipped for `hand`.
 
     Raises:
         CheckpointError: there is none.
@@ -37,7 +37,7 @@ def shipped_map(hand: TrainedHand) -> Path:
 
 
 def path_of(source: str | os.PathLike) -> Path:
-    """The file of a map or the directory of a checkpoint that `load_retargeter` loads."""
+    """Returns the map file or checkpoint directory that `load_retargeter` loads for `source`."""
     return shipped_maps().get(os.fspath(source), Path(source))
 
 
@@ -47,14 +47,14 @@ def load_retargeter(
     """Loads a universal map, or a checkpoint directory written by training.
 
     Args:
-        source: name of a robot hand with a shipped map, path of a map's file, or the directory.
+        source: name of a robot hand with a shipped map, or path of a map file or checkpoint directory.
         hand: a hand model (`joint_names`, `finger_names`, `digest`) for which the map must have been trained;
-            None does not check.
+            None skips the check.
         backend: "numpy", or "numba", which halves the time of calls for one hand; see `Retargeter.compile`.
 
     Raises:
         CheckpointError: a file is missing or altered, or the map is for another hand.
-        UnknownNameError: this version does not know the checkpoint's method, or there is no such backend.
+        UnknownNameError: the checkpoint's method or the backend is unknown.
         GeortError: the backend is numba, which is not installed.
     """
     if backend not in BACKENDS:
@@ -65,7 +65,7 @@ def load_retargeter(
     if not path.exists():
         shipped = ", ".join(shipped_maps()) or "none"
         raise CheckpointError(
-            f"{path}: neither a checkpoint directory, which geort-drake train writes, nor the file of a map; "
+            f"{path}: neither a checkpoint directory, which geort-drake train writes, nor a map file; "
             f"maps shipped with this version: {shipped}"
         )
     checkpoint = load_checkpoint(path)

@@ -4,7 +4,7 @@ import numpy as np
 
 
 def cross_matrices(axes: np.ndarray) -> np.ndarray:
-    """K (..., 3, 3) of axes a (..., 3) with K x = a × x."""
+    """Returns K (..., 3, 3) of axes a (..., 3) such that K x = a × x."""
     K = np.zeros((*axes.shape, 3))
     K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -axes[..., 2], axes[..., 1], -axes[..., 0]
     return K - np.swapaxes(K, -1, -2)

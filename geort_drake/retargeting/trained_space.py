@@ -1,4 +1,4 @@
-"""The space of human fingertips that a map was trained on, and the distance of a hand from it."""
+"""The space of human fingertips in a map's training, and the distance of a hand from it."""
 
 from collections.abc import Sequence
 
@@ -12,13 +12,13 @@ VOXEL = 0.006  # m; edge of the voxels that thin the points
 
 
 class TrainedSpace:
-    """The positions of each fingertip in the training recording, thinned.
+    """The thinned positions of each fingertip in the training recording.
 
     A fingertip far from all of its positions is outside of the training data. The converse does not hold:
-    fingertips near their places may form a hand that was never recorded.
+    fingertips near recorded positions may form a hand that was never recorded.
 
     Attributes:
-        points: (F, M, 3) float32 places p_HF, m; a finger with fewer than M repeats its last one.
+        points: (F, M, 3) float32 positions p_HF, m; a finger with fewer than M repeats its last one.
     """
 
     def __init__(self, points: np.ndarray, human_keypoints: Sequence[int]):
@@ -41,15 +41,15 @@ class TrainedSpace:
             )
         self.points = points
         self._keypoints = np.array(human_keypoints, dtype=int)
-        # |p − c|² = |p|² + (|c|² − 2 c · p), one product for all places c.
-        places = points.astype(float).transpose(0, 2, 1)
-        forms = np.concatenate([-2.0 * places, np.square(places).sum(axis=1, keepdims=True)], axis=1)
+        # |p − c|² = |p|² + (|c|² − 2 c · p), one product for all positions c.
+        positions = points.astype(float).transpose(0, 2, 1)
+        forms = np.concatenate([-2.0 * positions, np.square(positions).sum(axis=1, keepdims=True)], axis=1)
         self._forms = np.ascontiguousarray(forms)
 
     def distances(self, p_HK: np.ndarray) -> np.ndarray:
-        """(F,) distance of each fingertip of one hand (21, 3) or (F, 3) to its nearest place, m.
+        """Computes distances (F,), m, of the fingertips of a hand (21, 3) or (F, 3) to the nearest positions.
 
-        The thinning adds at most `VOXEL` · √3, 2 mm on average.
+        Thinning adds at most `VOXEL` · √3, and 2 mm on average.
         """
         p_HF = p_HK.take(self._keypoints, axis=0) if len(p_HK) == KEYPOINT_COUNT else p_HK
         p = np.ones((len(p_HF), 1, 4))
@@ -59,7 +59,7 @@ class TrainedSpace:
 
 
 def trained_points(p_HF: np.ndarray) -> np.ndarray:
-    """The array of a `TrainedSpace`, (F, M, 3), from the fingertips (T, F, 3) of the training, m."""
+    """Makes the array (F, M, 3), m, of a `TrainedSpace` from the training's fingertips (T, F, 3), m."""
     clouds = [voxel_thinned(p_HF[:, i], VOXEL) for i in range(p_HF.shape[1])]
     most = max(map(len, clouds))
     return np.stack(

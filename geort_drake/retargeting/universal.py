@@ -1,4 +1,4 @@
-"""The universal map in NumPy: a network for the fingertips and a code of the person."""
+"""The universal map in NumPy: a network that takes fingertips and a code of the person."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,24 +12,24 @@ from geort_drake.retargeting.person_code import CODE_PARTS, CODE_SIZE, AveragePe
 from geort_drake.retargeting.person_observer import MIN_BONE
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 
-PINCH_UNIT = 0.05  # m; unit of the thumb's distances from the other fingertips
-MAX_DEVIATION = 3.0  # deviations from the average person; a code beyond them is clamped
-_UNUSUAL = 4.0  # deviations; a code beyond them is reported
+PINCH_UNIT = 0.05  # m; unit of the vectors between the thumb's tip and the others
+MAX_DEVIATION = 3.0  # standard deviations from the average person to which a code is clamped
+_UNUSUAL = 4.0  # standard deviations beyond which a code is reported
 
 
 class UniversalRetargeter:
     """Maps the hands of any person to robot joint angles; needs only NumPy.
 
-    A call takes the person's code from its own frames. `for_person` makes a map of one person, which is
-    faster and takes fingertips alone.
+    A call computes the person's code from the given frames. `for_person` makes a map for one person, which is
+    faster and also accepts fingertips alone.
 
     Attributes:
         finger_names: F fingers, in the order of the map's inputs.
         joint_names: n joints, in the order of the outputs.
-        human_keypoints: F keypoints that are the human fingertips.
+        human_keypoints: numbers of the F keypoints that are the human fingertips.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
-        average: the average person.
-        backend: of the maps of persons; see `load_retargeter`.
+        average: the average person, the prior of the codes.
+        backend: backend of the maps for one person; see `load_retargeter`.
     """
 
     def __init__(
@@ -52,12 +52,12 @@ class UniversalRetargeter:
                 modulation_weight (4, F, m, h), modulation_bias (4, F, h); residual_modulation_weight
                 (2, m, r), residual_modulation_bias (2, r); and those of `CoupledRetargeter`, whose
                 residual_weight0 is (3 F + 3 (F − 1), r).
-            finger_names, joint_names, human_keypoints, lower, upper: as of `Retargeter`; one finger is the
-                thumb.
+            finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`; one finger must be
+                the thumb.
             backend: "numpy" or "numba".
 
         Raises:
-            CheckpointError: as for `Retargeter`; or there is no thumb.
+            CheckpointError: as in `Retargeter`, or a finger is unknown, or there is no thumb.
         """
         self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
         self.human_keypoints = tuple(human_keypoints)
@@ -115,13 +115,13 @@ class UniversalRetargeter:
             raise CheckpointError("weights: 'reach_covariance' must be positive definite")
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        """Computes joint angles, rad, of one person, whose code is that of the given frames.
+        """Computes joint angles of one person, whose code is that of the given frames.
 
         Args:
             p_HK: keypoints (21, 3) or (N, 21, 3), in the wrist frame H, m.
 
         Returns:
-            (n,) or (N, n).
+            Joint angles (n,) or (N, n), rad.
 
         Raises:
             ValueError: p_HK has another shape.
@@ -131,12 +131,12 @@ class UniversalRetargeter:
         return self.folded(self.code(p_HK))(p_HK)
 
     def for_person(self, p_HK: np.ndarray) -> CoupledRetargeter:
-        """The map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m, for fingertips or keypoints.
+        """Returns the map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m.
 
-        Its `trained_space` contains the places that the fingertips visited.
+        Its `trained_space` contains the positions of the fingertips in these frames.
 
         Raises:
-            ValueError, GeortError: as for a call.
+            ValueError, GeortError: as in a call.
         """
         p_HK = np.asarray(p_HK, dtype=float)
         retargeter = self.folded(self.code(p_HK))
@@ -146,10 +146,10 @@ class UniversalRetargeter:
         return retargeter
 
     def code(self, p_HK: np.ndarray) -> np.ndarray:
-        """The code (15 F,) of the person in keypoints p_HK (21, 3) or (T, 21, 3), m (`AveragePerson.code`).
+        """Computes the code (15 F,) of the person in keypoints p_HK (21, 3) or (T, 21, 3), m.
 
         Raises:
-            ValueError, GeortError: as for a call.
+            ValueError, GeortError: as in a call.
         """
         p_HK = np.asarray(p_HK, dtype=float)
         given = p_HK.shape
@@ -169,13 +169,13 @@ class UniversalRetargeter:
         return self.average.code(observation)
 
     def deviations(self, code: np.ndarray) -> np.ndarray:
-        """The code (15 F,) in deviations from the average person."""
+        """Returns the code (15 F,) in standard deviations from the average person."""
         return (code - self._arrays["code_mean"]) / self._arrays["code_deviation"]
 
     def unusual(self, code: np.ndarray) -> str:
-        """Says which part of the hand's shape is farthest from the training's people; empty if none is far.
+        """Names the part of the hand's shape that is farthest from the training's people; "" if none is far.
 
-        How a person plays is not their hand, and also says how long they have played.
+        The reach is left out, because it depends on what and how long a person has played.
         """
         rows = np.cumsum([0, *(CODE_PARTS[part] * len(self.finger_names) for part in ("base", "length"))])
         z = np.abs(self.deviations(code))[: rows[-1]]
@@ -191,9 +191,9 @@ class UniversalRetargeter:
         )
 
     def folded(self, code: np.ndarray) -> CoupledRetargeter:
-        """The map of the person with this code (15 F,).
+        """Returns the map of the person with this code (15 F,).
 
-        The person's part is affine up to the activations, so it becomes part of the weights.
+        The code acts through affine functions before the activations, so it folds into the weights.
         """
         retargeter = CoupledRetargeter(
             self.folded_arrays(code),
@@ -208,7 +208,7 @@ class UniversalRetargeter:
         return retargeter
 
     def folded_arrays(self, code: np.ndarray) -> dict[str, np.ndarray]:
-        """The weights of the map of the person with this code (15 F,)."""
+        """Returns the weights of the map of the person with this code (15 F,)."""
         arrays, fingers, code = self._arrays, len(self.finger_names), np.asarray(code, dtype=float)
         z = np.clip(self.deviations(code), -MAX_DEVIATION, MAX_DEVIATION)
         for k in range(2):

@@ -1,9 +1,8 @@
-"""The retargeting methods by name.
+"""Registry of the retargeting methods.
 
 A module of this package adds methods by defining `METHODS`, a tuple of `TrainedMethod`, `ShippedMethod` or
-`UntrainedMethod`.
-Such a module imports torch and SciPy inside its functions, because loading a retargeter imports all of them
-and works without torch.
+`UntrainedMethod`. It must import torch and SciPy inside its functions, because loading a retargeter imports
+all of these modules and works without torch.
 """
 
 import functools
@@ -25,7 +24,7 @@ DEFAULT_METHOD = "geort_coupled"
 
 @functools.cache
 def all_methods() -> dict[str, TrainedMethod | ShippedMethod | UntrainedMethod]:
-    """Every method by name: first those that are trained."""
+    """Returns all methods by name, the trained ones first."""
     found: list[TrainedMethod | ShippedMethod | UntrainedMethod] = []
     for module in pkgutil.iter_modules(__path__):
         found += getattr(importlib.import_module(f"{__name__}.{module.name}"), "METHODS", ())
@@ -34,25 +33,25 @@ def all_methods() -> dict[str, TrainedMethod | ShippedMethod | UntrainedMethod]:
 
 
 def trained_methods() -> dict[str, TrainedMethod]:
-    """The methods that are trained, by name."""
+    """Returns the methods that are trained, by name."""
     return {name: method for name, method in all_methods().items() if isinstance(method, TrainedMethod)}
 
 
 def shipped_methods() -> dict[str, ShippedMethod]:
-    """The methods whose maps are shipped, by name."""
+    """Returns the methods whose maps are shipped, by name."""
     return {name: method for name, method in all_methods().items() if isinstance(method, ShippedMethod)}
 
 
 def untrained_methods() -> dict[str, UntrainedMethod]:
-    """The methods that need no training, by name."""
+    """Returns the methods that need no training, by name."""
     return {name: method for name, method in all_methods().items() if isinstance(method, UntrainedMethod)}
 
 
 def trained_method(name: str) -> TrainedMethod:
-    """The trained method of a name.
+    """Returns the trained method of a name.
 
     Raises:
-        UnknownNameError: there is none; the message lists the known ones.
+        UnknownNameError: there is none; the message lists the known methods.
     """
     methods = trained_methods()
     if name not in methods:
@@ -67,17 +66,17 @@ def make_untrained(
     frames: np.ndarray | None = None,
     seed: int = 0,
 ) -> Retarget:
-    """A retargeter that needs no training, called as `Retargeter` is.
+    """Makes a retargeter that needs no training; it is called as a `Retargeter`.
 
     Args:
-        name: one of `untrained_methods()`.
-        kinematics: of the robot hand, mirrored for a left one.
-        human_keypoints: keypoint of each finger's tip; None goes by the fingers' names.
+        name: name of the method, from `untrained_methods()`.
+        kinematics: kinematics of the robot hand, mirrored for a left hand.
+        human_keypoints: keypoint of each fingertip; by default the fingers' names determine it.
         frames: recorded fingertips (T, F, 3), m, which affine_ik and nearest_neighbour need.
-        seed: of their draws.
+        seed: seed of these methods' draws.
 
     Raises:
-        UnknownNameError: no such method.
+        UnknownNameError: there is no such method.
         GeortError: frames are missing.
     """
     methods = untrained_methods()

@@ -1,4 +1,4 @@
-"""An affine map of each fingertip, followed by inverse kinematics: a baseline for all other methods."""
+"""A baseline method: an affine map of each fingertip, followed by inverse kinematics."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -13,25 +13,25 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
-SAMPLES = 4000  # uniform joint angles, whose fingertips are the robot's workspace
-ITERATIONS = 20  # of the inverse kinematics; further ones move fingertips by less than a millimetre
-LARGEST_STEP = 0.2  # rad, of a joint in an iteration
-DAMPING = 2e-2  # m/rad; a joint that moves a fingertip less is hardly used for it
+SAMPLES = 4000  # uniform joint angles, whose fingertips sample the robot's workspace
+ITERATIONS = 20  # of the inverse kinematics; further ones move fingertips by less than 1 mm
+MAX_STEP = 0.2  # rad, of a joint in one iteration
+DAMPING = 2e-2  # m/rad; a joint that moves a fingertip by less is hardly used for it
 
 
 class AffineIK:
     """Maps the workspace of each human fingertip to that of the robot's.
 
-    p_BF = m_B + s (p_HF − m_H), where the means m and the ratio s of the root mean square distances from them
-    are those of recorded human fingertips and of robot fingertips at uniform joint angles. The axes of H and
-    B are parallel. Damped least squares (Wampler 1986) from the middle of the joint ranges find the joint
-    angles, so an answer depends on its hand alone.
+    p_BF = m_B + s (p_HF − m_H) with the means m of recorded human fingertips and of robot fingertips at
+    uniform joint angles, and the ratio s of their root mean square distances from these means. The axes of H
+    and B are parallel. Damped least squares (Wampler 1986) from the middle of the joint ranges give the joint
+    angles, so each result depends only on the given hand.
 
     Attributes:
         finger_names: F fingers, in the order of the inputs.
         joint_names: n joints, in the order of the outputs.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
-        gain: (F, 1) the ratios s.
+        gain: (F, 1) ratios s.
     """
 
     def __init__(
@@ -62,11 +62,11 @@ class AffineIK:
         self.gain = (robot_spread / human_spread)[:, None]
 
     def targets(self, points: np.ndarray) -> np.ndarray:
-        """Where the robot's fingertips should be, reachable or not, (F, 3) or (N, F, 3) m in B."""
+        """Returns the robot's target fingertips, reachable or not, (F, 3) or (N, F, 3) in B, m."""
         return self._robot + self.gain * (self._points(points) - self._human)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Joint angles (n,) or (N, n) in rad; `points` as for `Retargeter`."""
+        """Computes joint angles (n,) or (N, n), rad; `points` are those of `Retargeter`."""
         targets = self.targets(points)
         p_BF = targets.reshape(-1, *targets.shape[-2:])
         q = np.tile(0.5 * (self.lower + self.upper), (len(p_BF), 1))
@@ -75,12 +75,12 @@ class AffineIK:
             JJ = J @ J.swapaxes(-1, -2) + DAMPING**2 * np.eye(3)
             weights = np.linalg.solve(JJ, (p_BF - tips)[..., None])
             step = (J.swapaxes(-1, -2) @ weights)[..., 0].sum(axis=1)
-            q = np.clip(q + np.clip(step, -LARGEST_STEP, LARGEST_STEP), self.lower, self.upper)
+            q = np.clip(q + np.clip(step, -MAX_STEP, MAX_STEP), self.lower, self.upper)
         return q.reshape(*targets.shape[:-2], len(self.joint_names))
 
 
 def _mean_and_spread(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means (F, 3) of points (T, F, 3), m, and root mean square distances (F,) from them, m."""
+    """Returns the means (F, 3) of points (T, F, 3) and the root mean square distances (F,) from them, m."""
     return points.mean(axis=0), np.sqrt(points.var(axis=0).sum(axis=-1))
 
 

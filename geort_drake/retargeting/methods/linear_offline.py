@@ -1,7 +1,7 @@
-"""Eq. 1 of the GeoRT paper, learned once (Robotic Telekinesis, Sivakumar et al. 2022; the paper's table II).
+"""Eq. 1 of the GeoRT paper, learned offline (Robotic Telekinesis, Sivakumar et al. 2022; table II of GeoRT).
 
-It trains the network of `geort` with another loss: each robot fingertip should be at the person's fingertip,
-relative to the wrist and scaled. The result depends strongly on the scale.
+The method trains the network of `geort` with another loss: each robot fingertip should be at the scaled
+position of the person's fingertip relative to the wrist. The result depends strongly on the scale.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
     from geort_drake.retargeting.training.descent import Report
 
-SCALE = 1.6  # α, robot over human, as in dex-retargeting's settings of the Allegro hand
-REST_WEIGHT = 1e-3  # of the regulariser, on joint angles in half ranges away from the middle
+SCALE = 1.6  # α, robot over human, from dex-retargeting's settings for the Allegro hand
+REST_WEIGHT = 1e-3  # ε, weight of the regulariser
 LENGTH_UNIT = 0.1  # m; unit of the vectors in the loss
 
 
@@ -37,7 +37,8 @@ def train_linear_offline(
 ) -> TrainingResult:
     """Trains per-finger networks to minimise mean |α v_H − v_R|² + ε |(q − mid) / half range|².
 
-    v are the vectors from the wrist to each fingertip. Robot samples are not used. See `TrainedMethod.train`.
+    v are the vectors from the wrist to each fingertip, in units of 0.1 m. Robot samples are ignored. See
+    `TrainedMethod.train`.
     """
     import torch
 

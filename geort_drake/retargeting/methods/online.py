@@ -1,7 +1,7 @@
 """Methods that optimise joint angles at every frame: AnyTeleop's vectors and DexPilot.
 
-Both solve Eq. 1 of the GeoRT paper with hand-made scale, weights and task vectors. They start from the joint
-angles of the previous frame and are pulled towards them, so answers depend on the past.
+Both solve Eq. 1 of the GeoRT paper with hand-tuned scale, weights and task vectors. They start from the joint
+angles of the previous frame and are regularised towards them, so results depend on the past.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,20 +18,19 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.kinematics import HandKinematics
 
-SCALE = 1.6  # α, robot over human, as in dex-retargeting's settings of the Allegro hand
-NORM_DELTA = 4e-3  # 1/rad², pull towards the previous joint angles
-# DexPilot: thumb-finger vectors are projected to contact below PROJECT until they are above ESCAPE, in m.
+SCALE = 1.6  # α, robot over human, from dex-retargeting's settings for the Allegro hand
+NORM_DELTA = 4e-3  # 1/rad², regularisation towards the previous joint angles
+# DexPilot projects thumb-finger vectors shorter than PROJECT to contact, until they exceed ESCAPE, m.
 PROJECT, ESCAPE = 0.03, 0.05
 PINCH_DISTANCE, APART_DISTANCE = 1e-4, 3e-2  # m, η1 and η2: lengths of projected vectors to thumb and fingers
 PINCH_WEIGHT, APART_WEIGHT = 200.0, 400.0  # of projected vectors
-CHUNK = 1024  # hands at a time in evaluations, so that their data fit the cache
+CHUNK = 1024  # hands that are evaluated at a time, so that their data fit the cache
 
 
 class VectorOnline:
     """AnyTeleop's retargeting (Qin et al. 2023): scaled vectors from the wrist to every fingertip.
 
-    Stateful: a call continues from the previous one, and a batch is a sequence of frames. Not safe to share
-    between threads.
+    Stateful: a call continues from the previous one, and a batch is a sequence of frames. Not thread-safe.
 
     Attributes:
         finger_names: F fingers, in the order of the inputs.
@@ -49,12 +48,12 @@ class VectorOnline:
         """Makes a retargeter at rest.
 
         Args:
-            kinematics: of the robot hand, mirrored for a left one.
-            human_keypoints: keypoint of each finger's tip; None goes by the fingers' names.
+            kinematics: kinematics of the robot hand, mirrored for a left hand.
+            human_keypoints: keypoint of each fingertip; by default the fingers' names determine it.
 
         Raises:
             UnknownNameError: a finger's name has no keypoint.
-            HandError: the method needs other fingers.
+            HandError: the hand lacks fingers that the method needs.
         """
         self.kinematics = NumpyKinematics(kinematics)
         self.finger_names, self.joint_names = self.kinematics.finger_names, self.kinematics.joint_names
@@ -64,22 +63,22 @@ class VectorOnline:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the past: joints in the middle of their ranges, nothing projected."""
+        """Resets the state: joints in the middle of their ranges, no vector projected."""
         self._q = 0.5 * (self.lower + self.upper)
         self._answer: np.ndarray | None = None
         self._projected = np.zeros(len(self._vectors.pairs), dtype=bool)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Joint angles in rad for hands, one after the other; input, output and errors as of `Retargeter`."""
+        """Computes joint angles, rad, for successive hands; arguments and errors as for `Retargeter`."""
         p_HF = self._points(points)
         if p_HF.ndim == 2:
             return self._step(p_HF)
         return np.array([self._step(row) for row in p_HF]).reshape(len(p_HF), len(self.joint_names))
 
     def settled_map(self, frames: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """The answers to hands that are held still, as a function without memory.
+        """Returns the stationary results for hands that are held still, as a stateless function.
 
-        It is for hands near recorded ones. Such a hand is held until the answer no longer changes, starting
+        Hands should be near recorded ones. Each is held until the joint angles no longer change, starting
         from the method's state at the nearest recorded frame.
 
         Args:
@@ -113,10 +112,10 @@ class VectorOnline:
     def settle(
         self, p_HF: np.ndarray, start: np.ndarray | None = None, projected: np.ndarray | None = None
     ) -> np.ndarray:
-        """Joint angles (N, n) at rest for hands (N, F, 3) that are held still.
+        """Computes the stationary joint angles (N, n), rad, for hands (N, F, 3), m, that are held still.
 
-        `start` (N, n) are initial joint angles, `projected` (N, V) the projected vectors; by default those
-        after `reset`. The pull towards previous angles vanishes at rest.
+        `start` (N, n), rad, are initial joint angles, `projected` (N, V) marks projected vectors; both are by
+        default those after `reset`. The regularisation towards previous angles vanishes at rest.
         """
         count = len(p_HF)
         if start is None:
@@ -131,7 +130,7 @@ class VectorOnline:
         previous = self._q[None]
         self._q = self._vectors.solve(targets, weights, previous, previous)[0]
         self._projected = projected[0]
-        # a + (q − a) instead of q reproduces published figures to the last bit.
+        # a + (q − a) instead of q reproduces published figures bit by bit.
         self._answer = self._q if self._answer is None else self._answer + (self._q - self._answer)
         return np.clip(self._answer, self.lower, self.upper)
 
@@ -139,7 +138,7 @@ class VectorOnline:
         return [(WRIST, finger) for finger in range(len(self.finger_names))]
 
     def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Target vectors (N, V, 3), weights (N, V) and updated switches (N, V) of hands (N, F, 3)."""
+        """Returns target vectors (N, V, 3), m, weights (N, V) and new `projected` (N, V); p_HF (N, F, 3)."""
         targets = SCALE * self._vectors.human(p_HF)
         return targets, np.ones(targets.shape[:2]), projected
 
@@ -148,8 +147,8 @@ class DexPilotOnline(VectorOnline):
     """DexPilot's retargeting (Handa et al. 2020), which gives priority to distances between fingertips.
 
     It uses vectors between the thumb and each finger (S1), between these fingers (S2) and from the wrist.
-    When the person's thumb comes near a finger, the target of their vector is projected to contact and weighs
-    more, with hysteresis. While two fingers pinch, the target between them keeps them apart.
+    When the person's thumb comes near a finger, the target of their vector is projected to contact and gets a
+    larger weight, with hysteresis. While two fingers pinch, the target between them keeps them apart.
     """
 
     huber_delta = 0.03  # m
@@ -163,8 +162,8 @@ class DexPilotOnline(VectorOnline):
         others = [finger for finger in range(len(self.finger_names)) if finger != thumb]
         pinches = [(thumb, finger) for finger in others]
         between = [(a, b) for k, a in enumerate(others) for b in others[k + 1 :]]
-        # For each finger-finger vector, the two thumb-finger vectors that decide about it.
-        self._deciding = np.array([(others.index(a), others.index(b)) for a, b in between], dtype=int)
+        # For each finger-finger vector, the two thumb-finger vectors that switch its projection.
+        self._switching = np.array([(others.index(a), others.index(b)) for a, b in between], dtype=int)
         return pinches + between + super()._pairs()
 
     def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -175,20 +174,20 @@ class DexPilotOnline(VectorOnline):
         near = projected.copy()
         first = distance[:, :pinches]
         near[:, :pinches] = np.where(first < PROJECT, True, near[:, :pinches] & (first <= ESCAPE))
-        if len(self._deciding):
-            both = near[:, self._deciding[:, 0]] & near[:, self._deciding[:, 1]]
+        if len(self._switching):
+            both = near[:, self._switching[:, 0]] & near[:, self._switching[:, 1]]
             near[:, pinches:pairs] = both & (distance[:, pinches:] <= PROJECT)
         length = np.full(pairs, PINCH_DISTANCE)
         length[pinches:] = APART_DISTANCE
-        heavy = np.full(pairs, PINCH_WEIGHT)
-        heavy[pinches:] = APART_WEIGHT
+        projected_weight = np.full(pairs, PINCH_WEIGHT)
+        projected_weight[pinches:] = APART_WEIGHT
         switched = near[:, :pairs]
         targets = SCALE * human
         direction = human[:, :pairs] / (distance[..., None] + 1e-6)
         targets[:, :pairs] = np.where(switched[..., None], direction * length[:, None], targets[:, :pairs])
-        # Without projection the wrist's vectors lead, as in dex-retargeting.
+        # Without projection the vectors from the wrist dominate, as in dex-retargeting.
         weights = np.full(human.shape[:2], float(pairs + fingers))
-        weights[:, :pairs] = np.where(switched, heavy, 1.0)
+        weights[:, :pairs] = np.where(switched, projected_weight, 1.0)
         return targets, weights, near
 
 

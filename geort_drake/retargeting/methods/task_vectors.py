@@ -1,10 +1,10 @@
-"""Eq. 1 of the GeoRT paper at run time: joint angles whose task vectors match the scaled human ones.
+"""Solves Eq. 1 of the GeoRT paper at run time: joint angles whose task vectors match the scaled human ones.
 
 min over q of  Σ_i w_i h(|v_R^i(q) − v*^i|) / V  +  norm_delta · |q − q_previous|²,  lower ≤ q ≤ upper
 
-with h the Huber function of PyTorch's SmoothL1 (x² / 2δ under δ, x − δ/2 above). A task vector goes from
-the wrist or a fingertip to a fingertip. A damped Gauss–Newton method on the free joints takes a few steps;
-many frames are solved at once.
+with h the Huber function of PyTorch's SmoothL1 (x² / 2δ below δ, x − δ/2 above). A task vector goes from
+the wrist or a fingertip to a fingertip. A damped Gauss–Newton method on the free joints needs a few steps and
+solves many frames at once.
 """
 
 import numpy as np
@@ -12,11 +12,11 @@ import numpy as np
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 WRIST = -1  # origin of a task vector that starts at the wrist
-TOLERANCE, ITERATIONS = 1e-4, 60  # rad, of the last step; at most
+TOLERANCE, ITERATIONS = 1e-4, 60  # rad, largest last step; maximum number of steps
 
 
 class TaskVectors:
-    """Vectors between the wrist and fingertips of a hand, and the joint angles that produce them.
+    """Vectors between the wrist and fingertips of a hand, and their inverse kinematics.
 
     Attributes:
         pairs: V pairs (origin, tip) of finger numbers; the origin may be WRIST.
@@ -29,7 +29,7 @@ class TaskVectors:
         huber_delta: float,
         norm_delta: float,
     ):
-        """`huber_delta` in m and `norm_delta` in 1/rad² are those of the equation."""
+        """Takes the equation's δ as `huber_delta`, m, and its `norm_delta`, 1/rad²."""
         self.kinematics, self.pairs = kinematics, pairs
         self._huber_delta, self._norm_delta = huber_delta, norm_delta
         # v = difference · tips − origin
@@ -43,7 +43,7 @@ class TaskVectors:
                 self._difference[row, origin] = -1.0
 
     def human(self, p_HF: np.ndarray) -> np.ndarray:
-        """The person's task vectors (N, V, 3) in m for fingertips (N, F, 3) in the wrist frame."""
+        """Returns the person's task vectors (N, V, 3), m, for fingertips (N, F, 3) in the wrist frame, m."""
         return self._difference @ p_HF
 
     def solve(
@@ -53,13 +53,13 @@ class TaskVectors:
         start: np.ndarray,
         previous: np.ndarray | None,
     ) -> np.ndarray:
-        """Joint angles (N, n) that minimise the objective of N frames, each on its own.
+        """Finds joint angles (N, n), rad, that minimise the objective of each of N frames.
 
         Args:
-            targets: (N, V, 3) task vectors, m.
-            weights: (N, V).
-            start: (N, n) joint angles inside the limits from which the descent starts.
-            previous: (N, n) joint angles that the regulariser pulls towards; None omits it.
+            targets: (N, V, 3) target task vectors, m.
+            weights: (N, V) weights of the vectors.
+            start: (N, n) initial joint angles inside the limits, rad.
+            previous: (N, n) joint angles of the regulariser, rad; None omits it.
         """
         lower, upper = self.kinematics.lower, self.kinematics.upper
         q = np.clip(start, lower, upper)
@@ -67,9 +67,9 @@ class TaskVectors:
         damping = np.full(len(q), 1e-3)
         loss, gradient, H = self.objective(q, targets, weights, previous)
         for _ in range(ITERATIONS):
-            # Joints pressed against a limit are fixed.
+            # Joints that the gradient presses against a limit are fixed.
             free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
-            # Damping relative to the mean curvature leaves redundant directions where they are.
+            # Damping relative to the mean curvature leaves redundant directions unchanged.
             scale = np.einsum("nii->n", H) / H.shape[-1] + 1e-12
             A = H * (free[:, :, None] & free[:, None, :])
             diagonal = np.einsum("nii->ni", A)
@@ -94,8 +94,8 @@ class TaskVectors:
     def objective(
         self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n) for q (N, n); others as in
-        `solve`.
+        """Returns loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n) at q (N, n), rad.
+        Other arguments are those of `solve`.
         """
         tips, J = self.kinematics.fingertips_and_jacobians(q)
         count, fingers, _, n = J.shape
@@ -106,7 +106,7 @@ class TaskVectors:
         huber = np.where(distance < delta, 0.5 * distance**2 / delta, distance - 0.5 * delta)
         weights = weights / len(self.pairs)
         loss = (weights * huber).sum(-1)
-        # h'(d)/d: the weight with which a squared residual has the same slope
+        # h'(d)/d is the weight with which half the squared residual has the same gradient.
         w = np.repeat(weights / np.maximum(distance, delta), 3, axis=-1)
         weighted = J * w[..., None]
         gradient = (residual.reshape(count, 1, -1) @ weighted)[:, 0]

@@ -1,4 +1,4 @@
-"""Trivial methods, as lower bounds for all others."""
+"""Trivial methods, which are lower bounds for all others."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Hold:
-    """Keeps the joints in the middle of their ranges, whatever the person does."""
+    """Keeps the joints in the middle of their ranges."""
 
     def __init__(self, kinematics: "HandKinematics", human_keypoints: Sequence[int] | None = None):
         hand = NumpyKinematics(kinematics)
@@ -25,7 +25,7 @@ class Hold:
         self._points = HumanPoints(self.finger_names, human_keypoints)
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Joint angles (n,) or (N, n) in rad; `points` as for `VectorOnline`."""
+        """Returns joint angles (n,) or (N, n), rad; `points` are those of `VectorOnline`."""
         batch = self._points(points).shape[:-2]
         return np.broadcast_to(0.5 * (self.lower + self.upper), (*batch, len(self.joint_names))).copy()
 
@@ -61,7 +61,7 @@ class NearestNeighbour(Hold):
         self._tree = cKDTree(stored.reshape(len(stored), -1))
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Joint angles (n,) or (N, n) in rad; `points` as for `VectorOnline`."""
+        """Returns joint angles (n,) or (N, n), rad; `points` are those of `VectorOnline`."""
         p_HF = self._points(points)
         _, nearest = self._tree.query(p_HF.reshape(*p_HF.shape[:-2], -1))
         return self._q[nearest].copy()

@@ -1,9 +1,9 @@
-"""Gaps between the collision shapes of a hand, batched and differentiable in torch.
+"""Computes gaps between the collision shapes of a hand, batched and differentiable in torch.
 
-Shapes are boxes and spheres. Between two of them the gap is the largest separation over the face normals
-and edge products of the boxes (the separating-axis theorem: Gottschalk et al. 1996, "OBBTree") and over
-the direction from the first box to the second's centre. It is negative if and only if they
-overlap, exact for a sphere, and never more than the true distance.
+Shapes are boxes and spheres. The gap of two shapes is their largest separation over the face normals and edge
+products of the boxes (separating-axis theorem: Gottschalk et al. 1996, "OBBTree") and over the direction from
+the first box to the second shape's centre. The gap is negative if and only if the shapes overlap, exact if
+one is a sphere, and never more than the true distance.
 """
 
 import copy
@@ -28,8 +28,8 @@ class CollisionShapes:
             −1 where it is fixed to the base B.
         X_JS: (S, 4, 4) pose of the shape S in its joint's moving frame J, or in B, m.
         half: (S, 3) half edges of a box, m; zero for a sphere.
-        radius: (S,) of a sphere, m; zero for a box.
-        pairs: (P, 2) shapes that must not touch; where only one is a sphere, it comes second.
+        radius: (S,) radius of a sphere, m; zero for a box.
+        pairs: (P, 2) numbers of shapes that must not touch; if only one is a sphere, it comes second.
     """
 
     joint: np.ndarray
@@ -39,16 +39,16 @@ class CollisionShapes:
     pairs: np.ndarray
 
     def mirrored(self) -> "CollisionShapes":
-        """The shapes of the hand whose kinematics are `HandKinematics.mirrored()`."""
+        """Returns the shapes of the hand with the kinematics `HandKinematics.mirrored()`."""
         M = np.diag([1.0, -1.0, 1.0, 1.0])
         return replace(self, X_JS=M @ self.X_JS @ M)
 
 
 class CollisionGaps:
-    """Computes gaps between the shapes of a hand for joint angles in torch, in float32.
+    """Computes gaps between the shapes of a hand at joint angles, in torch with float32.
 
     Args:
-        kinematics, shapes: of one hand.
+        kinematics, shapes: kinematics and collision shapes of the hand.
     """
 
     def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes):
@@ -63,14 +63,14 @@ class CollisionGaps:
         axes, index = np.zeros((len(chains), k, 3)), np.zeros((len(chains), k), dtype=int)
         for row, chain in enumerate(chains):
             count = len(chain.joint_names)
-            # A missing joint turns about no axis at all.
+            # A missing joint has no axis, so it is fixed.
             X[row, :count], axes[row, :count] = chain.X_PJ, chain.axes
             index[row, :count] = chain.joint_indices
         K = cross_matrices(axes)
         self._offset, self._turn = constant(X[..., :3, 3]), constant(X[..., :3, :3])
         self._K, self._K2 = constant(K), constant(K @ K)
         self._index = torch.tensor(index)
-        # Frames are numbered finger by finger, base to tip; the last one is the hand base.
+        # Frames are numbered by finger, base to tip; the last one is the hand base.
         number = {-1: len(chains) * k}
         for row, chain in enumerate(chains):
             number.update({joint: row * k + j for j, joint in enumerate(chain.joint_indices)})
@@ -82,7 +82,7 @@ class CollisionGaps:
         self.pairs = torch.tensor(np.asarray(shapes.pairs, dtype=int).reshape(-1, 2))
 
     def to(self, device: torch.device) -> "CollisionGaps":
-        """The same on another device."""
+        """Returns a copy on another device."""
         moved = copy.copy(self)
         for name, value in vars(self).items():
             if isinstance(value, torch.Tensor):
@@ -90,7 +90,7 @@ class CollisionGaps:
         return moved
 
     def keep_pairs_that_meet(self, q: torch.Tensor, margin: float) -> None:
-        """Drops pairs that come nowhere closer than `margin` (m) in samples q (N, n)."""
+        """Drops pairs that never come closer than `margin`, m, at joint angles q (N, n), rad."""
         met = torch.zeros(len(self.pairs), dtype=torch.bool, device=q.device)
         with torch.no_grad():
             for part in q.split(_CHUNK):
@@ -99,7 +99,7 @@ class CollisionGaps:
         self.pairs = self.pairs[met]
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """R_BS (N, S, 3, 3) and p_BS (N, S, 3) of the shapes for q (N, n)."""
+        """Computes R_BS (N, S, 3, 3) and p_BS (N, S, 3), m, of the shapes at joint angles q (N, n), rad."""
         N, (fingers, k) = len(q), self._index.shape
         if self._coupling is not None:
             q = q @ self._coupling
@@ -117,7 +117,7 @@ class CollisionGaps:
         return R_BJ @ self._R_JS, p_BJ + (R_BJ @ self._p_JS[..., None])[..., 0]
 
     def near(self, q: torch.Tensor, margin: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Every pair of shapes that may be closer than `margin` (m): row of q, pair, and gap (M,) in m."""
+        """Finds all pairs that may be closer than `margin`, m; returns rows of q, pairs, gaps (M,)."""
         R, p = self.poses(q)
         a, b = self.pairs.T
         with torch.no_grad():
@@ -126,7 +126,7 @@ class CollisionGaps:
         return row, pair, self._gaps(R, p, row, pair)
 
     def least(self, q: torch.Tensor, margin: float) -> torch.Tensor:
-        """(N,) the smallest gap at q (N, n), at most `margin`, m."""
+        """Returns the smallest gap (N,), m, at joint angles q (N, n), rad, or `margin` if that is less."""
         result = []
         with torch.no_grad():
             for part in q.split(_CHUNK):
@@ -138,10 +138,12 @@ class CollisionGaps:
     def loss(
         self, q: torch.Tensor, row: torch.Tensor, pair: torch.Tensor, margin: float, scale: float
     ) -> torch.Tensor:
-        """Mean over q (N, n) of the sum of max(0, margin − gap) / scale over some pairs; lengths in m.
+        """Computes the mean over q (N, n) of the sum of max(0, margin − gap) / scale over the given pairs.
 
         Args:
-            row, pair: (M,) numbers of q and of the pair of shapes, as `near` gives them.
+            q: (N, n) joint angles, rad.
+            row, pair: (M,) rows of q and numbers of pairs, from `near`.
+            margin, scale: lengths, m.
         """
         # Only rows with near pairs need gradients.
         rows, row = torch.unique(row, return_inverse=True)
@@ -151,7 +153,7 @@ class CollisionGaps:
         return torch.relu(margin - gap).sum() / (scale * len(q))
 
     def _gaps(self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor) -> torch.Tensor:
-        """(M,) gaps of the pairs numbered `pair` at the poses of `row`, m."""
+        """Returns the gaps (M,), m, of the pairs numbered `pair` at the poses of `row`."""
         a, b = self.pairs[pair].T
         R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
         gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
@@ -161,12 +163,12 @@ class CollisionGaps:
 def box_gap(
     R_A: torch.Tensor, R_B: torch.Tensor, p_AB: torch.Tensor, a: torch.Tensor, b: torch.Tensor
 ) -> torch.Tensor:
-    """(M,) largest separation of boxes of half edges a, b (M, 3); see the module.
+    """Computes the largest separation (M,), m, of boxes A and B; see the module.
 
     Args:
-        R_A, R_B: (M, 3, 3) orientations of the boxes.
-        p_AB: (M, 3) from the centre of the first to that of the second, in the frame of the R's.
-        a, b: (M, 3) half edges, zero for a point.
+        R_A, R_B: (M, 3, 3) orientations of the boxes in a common frame.
+        p_AB: (M, 3) vector from the centre of A to that of B in the common frame, m.
+        a, b: (M, 3) half edges, m; zero for a point.
     """
     R = R_A.transpose(1, 2) @ R_B
     t = (R_A * p_AB[:, :, None]).sum(1)  # in the frame of A
@@ -174,14 +176,14 @@ def box_gap(
     size = R.abs()
     faces_a = t.abs() - a - (size * b[:, None]).sum(2)
     faces_b = s.abs() - b - (size * a[:, :, None]).sum(1)
-    # Axis A_i × B_j: |t · L| and both boxes' extents along it, divided by its length sqrt(1 − R_ij²).
+    # Axes L = A_i × B_j: |t · L| and both boxes' extents along L, divided by its length sqrt(1 − R_ij²).
     along = (_down(t)[:, :, None] * _up(R) - _up(t)[:, :, None] * _down(R)).abs()
     extent = _up(a)[:, :, None] * _down(size) + _down(a)[:, :, None] * _up(size)
     size = size.mT
     extent = extent + (_up(b)[:, :, None] * _down(size) + _down(b)[:, :, None] * _up(size)).mT
     length = torch.sqrt(torch.clamp(1.0 - R.square(), min=1e-4))
     edges = torch.where(R.square() > 1.0 - 1e-3, -1.0, (along - extent) / length).flatten(1)
-    # From the nearest point of A to B's centre; inside A this axis has no direction.
+    # The axis from the nearest point of A to B's centre; it has no direction if the centre is inside A.
     outside = t - torch.minimum(torch.maximum(t, -a), a)
     distance = torch.sqrt(outside.square().sum(1) + 1e-12)
     axis = outside / distance[:, None]
@@ -191,10 +193,10 @@ def box_gap(
 
 
 def _up(x: torch.Tensor) -> torch.Tensor:
-    """The next axis of (M, 3, ...), cyclically."""
+    """Shifts the components of (M, 3, ...) cyclically to the next axis."""
     return x.roll(-1, 1)
 
 
 def _down(x: torch.Tensor) -> torch.Tensor:
-    """The previous axis of (M, 3, ...), cyclically."""
+    """Shifts the components of (M, 3, ...) cyclically to the previous axis."""
     return x.roll(1, 1)

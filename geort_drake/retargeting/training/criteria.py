@@ -1,8 +1,8 @@
 """The five criteria of GeoRT (Yin et al. 2025, Section II), one pure function each.
 
-Points are in any one length unit. Direction and collision are dimensionless, the others are squared lengths,
-so their weights belong to a unit. The paper sums over fingers; these functions average, so that weights do
-not depend on the number of fingers.
+Points are in any length unit. Direction and collision are dimensionless; the others are squared lengths, so
+their weights depend on the unit. The paper sums over fingers; these functions average, so that weights do not
+depend on the number of fingers.
 """
 
 from collections.abc import Sequence
@@ -16,9 +16,8 @@ def direction_loss(d: torch.Tensor, displacement: torch.Tensor, floor: float = 1
 
     Args:
         d: (..., 3) steps of human fingertips.
-        displacement: (..., 3) the steps Δ of the robot's fingertips.
-        floor: length added in quadrature to |d| and |Δ|, so that an unanswered step counts 0 and its gradient
-            stays finite.
+        displacement: (..., 3) steps Δ of the robot's fingertips.
+        floor: length added in quadrature to |d| and |Δ|, so that Δ = 0 counts 0 and has a finite gradient.
     """
     norms = torch.sqrt((d.square().sum(-1) + floor**2) * (displacement.square().sum(-1) + floor**2))
     return -((d * displacement).sum(-1) / norms).mean()
@@ -29,13 +28,13 @@ def chamfer_loss(targets: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
 
     Args:
         targets: (F, M, 3) samples of each robot fingertip's C-space.
-        points: (F, N, 3) the map of samples of each human fingertip.
+        points: (F, N, 3) robot fingertips to which samples of each human fingertip are mapped.
     """
     with torch.no_grad():
         distances = torch.cdist(targets, points)
         nearest_point = distances.argmin(dim=2)
         nearest_target = distances.argmin(dim=1)
-    # Only the nearest have gradients: the same value as through cdist, in a tenth of the time.
+    # Only the nearest points have gradients; this takes a tenth of the time of a gradient through cdist.
     uncovered = (targets - _gather(points, nearest_point)).square().sum(-1).mean()
     outside = (points - _gather(targets, nearest_target)).square().sum(-1).mean()
     return uncovered + outside
@@ -55,9 +54,9 @@ def pinch_loss(
     a person pinched.
 
     Args:
-        p_BF: (N, F, 3) robot fingertips; a row is one human hand.
-        pairs: P pairs of finger indices.
-        pair_weights: (N, P), see `pinch_weights`.
+        p_BF: (N, F, 3) robot fingertips of N hands.
+        pairs: P pairs of finger numbers.
+        pair_weights: (N, P) weights from `pinch_weights`.
     """
     if not pairs:
         return p_BF.new_zeros(())
@@ -70,10 +69,10 @@ def pinch_loss(
 def pinch_weights(
     p_HF: torch.Tensor, pairs: Sequence[tuple[int, int]], threshold: float, other_pairs: float = 1.0
 ) -> torch.Tensor:
-    """(N, P) weights of the pinch criterion for human fingertips (N, F, 3) of recorded frames.
+    """Computes the weights (N, P) of the pinch criterion for human fingertips (N, F, 3).
 
-    The nearest pair of a frame weighs 1 if it is closer than `threshold`, other such pairs `other_pairs`; 1
-    is the paper's indicator. All other pairs weigh 0.
+    Of the pairs closer than `threshold`, the nearest pair of a frame has weight 1, the others `other_pairs`
+    (1 in the paper). All other pairs have weight 0.
     """
     if not pairs:
         return p_HF.new_zeros((len(p_HF), 0))

@@ -1,4 +1,4 @@
-"""Gradient descent shared by all trained methods: schedule, history, divergence."""
+"""Gradient descent shared by all trained methods, with schedule, history and detection of divergence."""
 
 import contextlib
 import math
@@ -14,19 +14,19 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from geort_drake.errors import TrainingError, UnknownNameError
 from geort_drake.retargeting.training.soap import Soap
 
-# Called as report(steps done, steps, row of losses, network as it is now) at each row of `Descent.history`.
+# Called as report(steps done, total steps, row of losses, current network) at each row of `Descent.history`.
 Report = Callable[[int, int, dict[str, float], nn.Module], None]
-AVERAGE_EVERY = 5  # steps, between which weights hardly move
+AVERAGE_EVERY = 5  # steps, within which weights hardly move
 
 
 @dataclass(frozen=True)
 class Descent:
-    """How a descent went."""
+    """Figures of a descent."""
 
-    # About a hundred rows at equal distances, and after 1, 2, 4, ... steps at first: step, total, each loss,
-    # seconds.
+    # Rows of step, total, each loss and seconds: about a hundred at equal intervals, and after 1, 2, 4, ...
+    # steps at first.
     history: list[dict[str, float]]
-    seconds: float  # wall time
+    seconds: float  # wall time, s
     stopped_at: int | None  # the step at which the loss or the weights stopped being finite
 
 
@@ -43,20 +43,20 @@ def descend(
 ) -> Descent:
     """Minimises a loss; the learning rate falls to zero along half a cosine.
 
-    A loss that stops being finite restores weights from at most a hundredth of the descent earlier, with a
-    RuntimeWarning. A fixed loss that did not fall gives a RuntimeWarning too.
+    If the loss stops being finite, the descent ends with a RuntimeWarning and restores weights from at most a
+    hundredth of the descent earlier. A fixed loss that does not fall causes a RuntimeWarning too.
 
     Args:
-        network: trained in place.
-        losses: called with the step, returns the loss and its terms.
+        network: the network, trained in place.
+        losses: called with the number of the step; returns the loss and its terms.
         steps: number of gradient steps.
-        learning_rate: of the first step after the warm-up.
+        learning_rate: learning rate of the first step after the warm-up.
         report: see `Report`.
-        optimiser: of the network's parameters; None takes Adam.
-        warm_up: steps in which the learning rate rises from zero.
-        averaging: decay per step of a moving average of the weights in the second half, which the network has
-            at the end. 0: it keeps the last weights.
-        is_fixed: whether the loss is the same function at all steps, unlike one with multipliers that adapt.
+        optimiser: optimiser of the network's parameters; by default Adam.
+        warm_up: number of steps in which the learning rate rises from zero.
+        averaging: decay per step of a moving average of the weights over the second half, which the network
+            gets at the end. With 0 it keeps the last weights.
+        is_fixed: whether the loss is the same function at all steps, without adaptive multipliers.
 
     Raises:
         TrainingError: the loss is not finite at the first step.
@@ -93,7 +93,7 @@ def descend(
             history.append(values)
             if report is not None:
                 report(step + 1, steps, values, network)
-    # No loss has seen the weights of the last step.
+    # No loss was computed with the weights of the last step.
     if stopped_at is None and not all(torch.isfinite(p).all() for p in network.parameters()):
         stopped_at = steps
     if stopped_at is not None:
@@ -108,7 +108,7 @@ def descend(
         )
         return Descent(history, time.perf_counter() - started, stopped_at)
     if is_fixed and len(history) >= 100:
-        # The loss of a saturated map is finite, but the map learns nothing more.
+        # A saturated map has a finite loss, but no longer learns.
         last = sum(row["total"] for row in history[-10:]) / 10
         if last >= history[0]["total"]:
             warnings.warn(
@@ -124,7 +124,7 @@ def descend(
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Limits torch to one CPU thread, because the matrices are too small to gain from a second one."""
+    """Limits torch to one CPU thread; the matrices are too small to gain from more."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -134,10 +134,10 @@ def one_thread() -> Iterator[None]:
 
 
 def device_of(name: str) -> torch.device:
-    """The torch device "cpu" or "cuda".
+    """Returns the torch device "cpu" or "cuda".
 
     Raises:
-        UnknownNameError: another name.
+        UnknownNameError: the name is another.
         TrainingError: torch sees no CUDA device.
     """
     if name not in ("cpu", "cuda"):

@@ -18,19 +18,19 @@ class HumanData:
     """Human fingertips, checked and thinned.
 
     Attributes:
-        finger_names: F names.
-        frames: (T, F, 3) recorded frames without exact repeats, m.
-        clouds: F arrays (M, 3), each fingertip's places, one per voxel.
+        finger_names: names of the F fingers.
+        frames: (T, F, 3) recorded frames in H without exact repeats, m.
+        clouds: F arrays (M, 3) of each fingertip's positions, one per voxel, m.
         mean, scale: (F, 3) mean and standard deviation of the clouds, m.
-        points: number of places per finger name.
-        pairs: see `pinch_pairs`.
+        points: size of each finger's cloud, by name.
+        pairs: pairs of fingers from `pinch_pairs`.
     """
 
     def __init__(self, p_HF: np.ndarray, finger_names: Sequence[str]):
         """Takes the fingertips (T, F, 3) of a recording, in H, m.
 
         Raises:
-            TrainingError: wrong shape, values that are not finite, or a finger that hardly moved.
+            TrainingError: the shape is wrong, a value is not finite, or a finger hardly moves.
         """
         p_HF = np.asarray(p_HF, dtype=float)
         self.finger_names = tuple(finger_names)
@@ -54,7 +54,7 @@ class HumanData:
         self.pairs = pinch_pairs(finger_names)
 
     def check_pinches(self) -> None:
-        """Warns of fingers that never pinch: nearest to the thumb, with tips less than `PINCH_M` apart.
+        """Warns of fingers that never pinch: as the nearest to the thumb, with tips within `PINCH_M`.
 
         Raises:
             TrainingError: no pair of fingertips ever pinches.
@@ -85,7 +85,7 @@ class HumanData:
 
 
 def pinch_pairs(finger_names: Sequence[str]) -> list[tuple[int, int]]:
-    """Pairs of finger numbers that pinch: the thumb with each other finger; all pairs without a thumb."""
+    """Returns the pairs of finger numbers that pinch: thumb and each other finger, or all without a thumb."""
     if "thumb" in finger_names:
         thumb = list(finger_names).index("thumb")
         return [(thumb, i) for i in range(len(finger_names)) if i != thumb]

@@ -1,8 +1,8 @@
 """Exact forward kinematics of a hand's fingertips in torch, batched and differentiable.
 
 Fingers are serial chains of revolute joints from the hand base B; joints may follow others of the same
-finger. Chains are evaluated on a point, from the tip to the base, so a joint costs one product of a constant
-9×3 matrix with a vector.
+finger. Each chain transforms its tip point from joint to joint towards the base, so a joint costs one product
+of a constant 9×3 matrix with a vector.
 """
 
 from collections.abc import Sequence
@@ -20,15 +20,15 @@ class FingerChain:
     """One finger: a serial chain of revolute joints from the hand base B to the fingertip point.
 
     Attributes:
-        name: finger name.
-        joint_names: k names, base to tip, of the independent joints.
-        joint_indices: k positions of these joints in the hand's q.
-        X_PJ: (m, 4, 4) pose of each of the m ≥ k joint frames J in its parent's joint frame P (the first: in
-            B), m; at zero angle of the joint, or of the one that it follows.
+        name: name of the finger.
+        joint_names: names of the k independent joints, base to tip.
+        joint_indices: indices of these k joints in the hand's q.
+        X_PJ: (m, 4, 4) pose, m, of each of the m ≥ k joint frames J in its parent's joint frame P (B for the
+            first), at zero angle of the joint, or of the one that it follows.
         axes: (m, 3) unit rotation axes in J.
         p_tip: (3,) fingertip point in the last joint's moving frame, m.
-        all_joint_names: m names, base to tip; by default `joint_names`.
-        coupling: (m, k) rotation of each joint per rotation of the k; by default the identity.
+        all_joint_names: names of all m joints, base to tip; by default `joint_names`.
+        coupling: (m, k) rotation of each joint per rotation of the k joints; by default the identity.
     """
 
     name: str
@@ -53,8 +53,8 @@ class HandKinematics:
     """The fingers of a hand, with q in the order of `joint_names`.
 
     Attributes:
-        fingers: F chains.
-        joint_names: n names in the order of q.
+        fingers: the F chains.
+        joint_names: names of the n joints in the order of q.
         lower, upper: (n,) joint limits, rad.
         tip_radius: radius of the fingertip spheres, m.
         p_BW: (3,) the hand's wrist in its base, m.
@@ -79,9 +79,9 @@ class HandKinematics:
         return tuple(finger.name for finger in self.fingers)
 
     def fingertips(self, q: torch.Tensor) -> torch.Tensor:
-        """Fingertip points p_BF, (..., F, 3) in m, for joint angles (..., n) in rad.
+        """Computes fingertip points p_BF (..., F, 3), m, at joint angles q (..., n), rad.
 
-        Differentiable, once, in the dtype and on the device of q; angles outside the limits are accepted.
+        Differentiable once, with the dtype and device of q; angles may exceed the limits.
         """
         n = len(self.joint_names)
         if q.shape[-1] != n:
@@ -90,24 +90,24 @@ class HandKinematics:
         return chains.points(q.reshape(-1, n)).transpose(0, 1).reshape(*q.shape[:-1], len(self.fingers), 3)
 
     def mirrored(self) -> "HandKinematics":
-        """The mirror image in the xz-plane: the same q puts its fingertips at (x, −y, z).
+        """Returns the mirror image in the xz-plane, whose fingertips are at (x, −y, z) for the same q.
 
-        A left robot hand is compared with canonical right human hands in the mirror.
+        A left robot hand is mirrored to compare it with human hands, which are always stored as right hands.
         """
         M = np.diag([1.0, -1.0, 1.0, 1.0])
         fingers = [
-            # An axis is an axial vector: reflecting it turns it the other way round.
+            # A rotation axis is an axial vector, so its reflection changes sign.
             replace(f, X_PJ=M @ f.X_PJ @ M, axes=-f.axes @ M[:3, :3], p_tip=M[:3, :3] @ f.p_tip)
             for f in self.fingers
         ]
         return replace(self, fingers=tuple(fingers), p_BW=M[:3, :3] @ self.p_BW)
 
     def uncoupled(self) -> tuple["HandKinematics", np.ndarray]:
-        """The hand with independent joints in place of coupled ones.
+        """Returns the hand with independent joints in place of coupled ones.
 
         Returns:
             A hand with the n joints of this one, then the followers, N in total; and the matrix (N, n) from
-            joint angles of this hand to those of that hand.
+            this hand's joint angles to those of that hand.
         """
         names = list(self.joint_names)
         rows = [*np.eye(len(names))]
@@ -139,7 +139,7 @@ class HandKinematics:
 
 
 class _Chains:
-    """Constants of all fingers as one batch; shorter fingers get fixed joints at their base."""
+    """Constants of all fingers in a batch; shorter fingers get fixed joints at their base."""
 
     def __init__(self, fingers: Sequence[FingerChain], dtype: torch.dtype, device: torch.device):
         m, k = (max(finger.coupling.shape[axis] for finger in fingers) for axis in (0, 1))
@@ -165,7 +165,7 @@ class _Chains:
         self.indices = torch.tensor(indices.ravel(), device=device)
 
     def points(self, q: torch.Tensor) -> torch.Tensor:
-        """(F, N, 3) fingertip points in B of q (N, n)."""
+        """Computes fingertip points (F, N, 3) in B, m, at joint angles q (N, n), rad."""
         fingers = self.p_tip.shape[0]
         angles = q.index_select(1, self.indices).reshape(len(q), fingers, -1).transpose(0, 1)
         if self.coupling is not None:
@@ -174,10 +174,10 @@ class _Chains:
 
 
 class _Tips(torch.autograd.Function):
-    """Fingertip points (G, N, 3) of joint angles (G, N, m), with a gradient of a few large operations.
+    """Computes fingertip points (G, N, 3) from joint angles (G, N, m), with a fast gradient.
 
-    Autograd would record some eighty small operations. The batch is the last axis, (…, 3, N), which is
-    fastest.
+    Autograd would record about eighty small operations; this gradient needs a few large ones. Internally the
+    batch is the last axis, (…, 3, N), which is fastest.
     """
 
     @staticmethod

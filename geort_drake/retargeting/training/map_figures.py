@@ -1,7 +1,7 @@
-"""Figures of a map for evaluations and trainings: motion, coverage, cross-talk, pinches.
+"""Figures of maps for evaluations and trainings: motion, coverage, cross-talk and pinches.
 
-g = FK∘f maps human fingertips (N, F, 3) to robot fingertips (N, F, 3), in metres. Random numbers come from a
-NumPy Generator.
+g = FK∘f maps human fingertips (N, F, 3) to robot fingertips (N, F, 3), m. Random numbers come from a NumPy
+Generator.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from geort_drake.retargeting.clouds import voxel_centres, voxel_index
 FingertipMap = Callable[[np.ndarray], np.ndarray]
 
 COVERAGE_RADII_MM = (5, 10, 15)
-ROBOT_SAMPLES = 200_000  # uniform in the joint angles, from which a C-space is made
+ROBOT_SAMPLES = 200_000  # uniform joint angles, whose fingertips sample the C-space
 ROBOT_VOXEL = 0.003  # m
 HUMAN_VOXEL = 0.001  # m
 
@@ -22,17 +22,17 @@ HUMAN_VOXEL = 0.001  # m
 def motion_preservation(
     g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
 ) -> float:
-    """Mean of `motion_cosines`."""
+    """Returns the mean of `motion_cosines`."""
     return float(motion_cosines(g, frames, rng, anchors).mean())
 
 
 def motion_cosines(
     g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
 ) -> np.ndarray:
-    """Cosines (F, anchors) between a random step of one human fingertip and the step of the robot's.
+    """Computes cosines (F, anchors) between random steps of a human fingertip and the robot's steps.
 
-    Anchors are whole recorded frames, uniform over the 1 mm voxels of the moved finger's cloud; steps
-    are uniform in 1–11 mm, directions on the sphere. An unanswered step counts 0.
+    Anchors are whole recorded frames, uniform over the 1 mm voxels of the moved finger's cloud. Steps are
+    uniform from 1 to 11 mm, directions uniform on the sphere. If the robot does not move, the cosine is 0.
     """
     cosines = []
     for finger in range(frames.shape[1]):
@@ -44,7 +44,7 @@ def motion_cosines(
 
 
 def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | None:
-    """Mean cosine of real successive steps longer than 1 mm; None if there is none."""
+    """Returns the mean cosine of recorded steps longer than 1 mm; None if there are no such steps."""
     d, answer = np.diff(frames, axis=0), np.diff(p_BF, axis=0)
     long = np.linalg.norm(d, axis=-1) > 0.001
     means = [
@@ -56,12 +56,12 @@ def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | N
 
 
 def robot_voxels(p_BF: np.ndarray) -> list[np.ndarray]:
-    """Per finger, the centres of the 3 mm voxels of its C-space that samples (N, F, 3) hit."""
+    """Returns for each finger the centres of the 3 mm voxels that its samples in p_BF (N, F, 3), m, hit."""
     return [voxel_centres(p_BF[:, i], ROBOT_VOXEL) for i in range(p_BF.shape[1])]
 
 
 def coverage(voxels: Sequence[np.ndarray], tips: Sequence[np.ndarray]) -> dict[str, float]:
-    """Share of each finger's voxels within 5, 10 and 15 mm of where its tip goes, F arrays (T, 3)."""
+    """Computes the mean share of a finger's voxels within 5, 10 and 15 mm of its tips, F arrays (T, 3), m."""
     farthest = 0.001 * max(COVERAGE_RADII_MM) + 1e-9
     shares = []
     for centres, points in zip(voxels, tips, strict=True):
@@ -71,7 +71,7 @@ def coverage(voxels: Sequence[np.ndarray], tips: Sequence[np.ndarray]) -> dict[s
 
 
 def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 1000) -> float:
-    """Mean motion of the other robot fingertips over that of its own when one human tip moves by 5 mm."""
+    """Returns mean motions of other robot fingertips over the own one's as a human tip moves by 5 mm."""
     fingers = frames.shape[1]
     if fingers == 1:
         return 0.0
@@ -86,30 +86,30 @@ def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, an
 
 
 def pinched_distances(human: np.ndarray, robot: np.ndarray, threshold: float) -> np.ndarray:
-    """Distances (n,) of the robot's fingertips where a person pinches, m.
+    """Returns the robot's distances (n,), m, of the pairs with which a person pinches.
 
-    A hand pinches with its nearest pair if that is closer than `threshold`; human, robot: (T, P) distances,
-    m.
+    A hand pinches with its nearest pair if that is closer than `threshold`, m; human and robot are the
+    distances (T, P), m.
     """
     nearest, rows = human.argmin(axis=1), np.arange(len(human))
     return robot[rows, nearest][human[rows, nearest] < threshold]
 
 
 def moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:
-    """g where the tip of one finger of hands x (N, F, 3) is displaced by d (N, 3)."""
+    """Evaluates g at hands x (N, F, 3) with the tip of one finger displaced by d (N, 3), m."""
     hands = x.copy()
     hands[:, finger] += d
     return g(hands)
 
 
 def directions(count: int, rng: np.random.Generator) -> np.ndarray:
-    """(count, 3) unit vectors, uniform on the sphere."""
+    """Draws unit vectors (count, 3) uniformly on the sphere."""
     d = rng.normal(size=(count, 3))
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
 def anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Rows of tips (T, 3) such that every 1 mm voxel that was visited is equally likely."""
+    """Draws rows of tips (T, 3), m, such that every visited 1 mm voxel is equally likely."""
     _, first = np.unique(voxel_index(tips, HUMAN_VOXEL), axis=0, return_index=True)
     return rng.choice(first, size=count)
 

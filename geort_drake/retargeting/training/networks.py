@@ -1,8 +1,8 @@
 """The networks of GeoRT: one per finger for retargeting and for kinematics, and one collision classifier.
 
-Fingers are independent of each other but evaluated as one batch: the weights of all fingers are
-stacked along a first axis. Fingers with fewer joints than the longest have unused outputs.
-Initial weights come from a torch.Generator, never from the global one.
+Fingers are independent but evaluated as one batch: the weights of all fingers are stacked along a first axis.
+Fingers with fewer joints than the longest one have unused outputs. Initial weights come from a given
+torch.Generator, never from the global one.
 """
 
 import itertools
@@ -18,9 +18,9 @@ from geort_drake.retargeting.training.kinematics import HandKinematics
 
 
 class StackedMlp(nn.Module):
-    """F independent multilayer perceptrons of one shape, evaluated as a batch: (F, N, a) → (F, N, b).
+    """F independent multilayer perceptrons of equal shape, evaluated as a batch: (F, N, a) → (F, N, b).
 
-    SiLU between the layers, none after the last.
+    SiLU follows each layer except the last.
     """
 
     def __init__(self, count: int, widths: Sequence[int], generator: torch.Generator):
@@ -66,7 +66,7 @@ class RetargetingNetwork(nn.Module):
         chains = kinematics.fingers
         widest = max(len(finger.joint_names) for finger in chains)
         self.mlp = StackedMlp(len(chains), (3, hidden, hidden, widest), generator)
-        # Which of the F · widest outputs is joint j of q.
+        # Number of joint j of q among the F · widest outputs.
         column = {
             index: number * widest + k
             for number, finger in enumerate(chains)
@@ -79,7 +79,7 @@ class RetargetingNetwork(nn.Module):
         _register_joint_ranges(self, kinematics)
 
     def forward(self, p_HF: torch.Tensor) -> torch.Tensor:
-        """Joint angles (N, n) in rad for human fingertips (N, F, 3) in m."""
+        """Computes joint angles (N, n), rad, for human fingertips (N, F, 3), m."""
         x = (p_HF.transpose(0, 1) - self.mean) / self.scale
         y = self.mlp(x).transpose(0, 1).reshape(p_HF.shape[0], -1)
         if not self._in_order:
@@ -87,7 +87,7 @@ class RetargetingNetwork(nn.Module):
         return self.centre + self.half_range * torch.tanh(y)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays for `Retargeter`, in float64; the input normalisation is folded into layer 0."""
+        """Returns float64 arrays for `Retargeter`, with the input normalisation folded into layer 0."""
         weights = [weight.detach().cpu().double() for weight in self.mlp.weights]
         biases = [bias.detach().cpu().double() for bias in self.mlp.biases]
         # (x − mean) / scale · W + b = x · (W / scale) + (b − mean / scale · W)
@@ -100,7 +100,7 @@ class RetargetingNetwork(nn.Module):
 
 
 class NeuralKinematics(nn.Module):
-    """The paper's per-finger neural forward kinematics, with the call of `HandKinematics`."""
+    """The paper's per-finger neural forward kinematics, with the same `fingertips` as `HandKinematics`."""
 
     indices: torch.Tensor
     used: torch.Tensor
@@ -112,7 +112,7 @@ class NeuralKinematics(nn.Module):
     def __init__(
         self, kinematics: HandKinematics, p_BF: torch.Tensor, hidden: int, generator: torch.Generator
     ):
-        """`p_BF` (N, F, 3) in m are samples from which outputs are normalised."""
+        """Normalises the outputs by samples p_BF (N, F, 3), m."""
         super().__init__()
         chains = kinematics.fingers
         widest = max(len(finger.joint_names) for finger in chains)
@@ -127,7 +127,7 @@ class NeuralKinematics(nn.Module):
         self.mlp = StackedMlp(len(chains), (widest, hidden, hidden, 3), generator)
 
     def fingertips(self, q: torch.Tensor) -> torch.Tensor:
-        """Approximate fingertip points p_BF (N, F, 3) in m for joint angles (N, n) in rad."""
+        """Approximates fingertip points p_BF (N, F, 3), m, at joint angles q (N, n), rad."""
         fingers, _, widest = self.used.shape
         u = ((q - self.centre) / self.half_range).index_select(1, self.indices)
         x = u.reshape(-1, fingers, widest).transpose(0, 1) * self.used
@@ -135,7 +135,7 @@ class NeuralKinematics(nn.Module):
 
 
 class CollisionClassifier(nn.Module):
-    """Logit of the probability that joint angles collide."""
+    """Predicts the logit of the probability that the hand collides at joint angles."""
 
     centre: torch.Tensor
     half_range: torch.Tensor
@@ -146,12 +146,12 @@ class CollisionClassifier(nn.Module):
         self.mlp = StackedMlp(1, (len(kinematics.joint_names), hidden, hidden, 1), generator)
 
     def forward(self, q: torch.Tensor) -> torch.Tensor:
-        """Logits (N,) for joint angles (N, n) in rad."""
+        """Computes logits (N,) for joint angles q (N, n), rad."""
         return self.mlp(((q - self.centre) / self.half_range)[None])[0, :, 0]
 
 
 def _register_joint_ranges(module: nn.Module, kinematics: HandKinematics) -> None:
-    """Buffers `centre` and `half_range` (n,) of the joint limits, rad."""
+    """Registers buffers `centre` and `half_range` (n,) of the joint limits, rad."""
     lower, upper = torch.tensor(kinematics.lower), torch.tensor(kinematics.upper)
     module.register_buffer("centre", (0.5 * (lower + upper)).float())
     module.register_buffer("half_range", (0.5 * (upper - lower)).float())

@@ -1,4 +1,4 @@
-"""Networks trained on the robot alone: neural forward kinematics and the collision classifier."""
+"""Trains networks on robot data alone: neural forward kinematics and the collision classifier."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import CollisionClassifier, NeuralKinematics
 
-HELD_OUT = 0.1  # fraction of the robot samples that is never trained on
+HELD_OUT = 0.1  # fraction of the robot samples that is excluded from training
 _HIDDEN = 128  # width of hidden layers
 
 
@@ -21,10 +21,10 @@ def fit_neural_kinematics(
     device: torch.device,
     steps: int,
 ) -> tuple[NeuralKinematics, dict[str, float]]:
-    """Fits fingertips to joint angles q (N, n) by least squares.
+    """Fits the map from joint angles q (N, n), rad, to fingertips by least squares.
 
     Returns:
-        The frozen network, and the distances from held-out samples: mean_mm, p95_mm, max_mm.
+        The frozen network, and its errors on held-out samples: mean_mm, p95_mm, max_mm.
     """
     q_exact = torch.tensor(q, dtype=torch.float64)
     p = kinematics.fingertips(q_exact).float()
@@ -55,10 +55,10 @@ def fit_classifier(
     device: torch.device,
     steps: int,
 ) -> tuple[CollisionClassifier, dict[str, float]]:
-    """Fits the probability that joint angles (N, n) collide to their labels (N,) by cross-entropy.
+    """Fits the probability of a collision at samples (N, n), rad, to their labels (N,) by cross-entropy.
 
     Returns:
-        The frozen network, and held-out figures: accuracy, precision, recall, positive_share.
+        The frozen network, and figures on held-out samples: accuracy, precision, recall, positive_share.
     """
     q = torch.tensor(samples, dtype=torch.float32, device=device)
     label = torch.tensor(np.asarray(labels), dtype=torch.float32, device=device)
@@ -87,7 +87,7 @@ def refit_classifier(
     generator: torch.Generator,
     steps: int,
 ) -> None:
-    """Continues the fit on half uniform and half `own` samples, each a pair (q, label), in place."""
+    """Continues the fit in place, half on `uniform` and half on `own` samples, each a pair (q, label)."""
     device = own[0].device
 
     def loss(_rows: torch.Tensor) -> torch.Tensor:
@@ -111,7 +111,7 @@ def _descend(
     batch: int,
     rate: float,
 ) -> None:
-    """Adam with a cosine schedule over random rows in [first, last); freezes the model at the end."""
+    """Runs Adam with a cosine schedule over random rows in [first, last), then freezes the model."""
     model.requires_grad_(True)
     optimiser = torch.optim.Adam(model.parameters(), lr=rate)
     for step in range(steps):

@@ -1,7 +1,7 @@
 """SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al. 2024, arXiv 2409.11321).
 
-Small networks need about a third of Adam's steps. The layers of all fingers are stacked along a first axis,
-and each finger's matrix has its own bases.
+Small networks need about a third of Adam's steps. The layers of all fingers are stacked along a first axis;
+each finger's matrix has its own bases.
 """
 
 import math
@@ -11,16 +11,16 @@ from typing import Any
 import torch
 
 BASIS_BETA = 0.95  # decay of the averages whose eigenvectors are the bases
-REFRESH = 10  # steps between renewals of the bases
+REFRESH = 10  # steps between updates of the bases
 
 
 class Soap:
-    """Minimises over parameters (..., a, b); every leading index is a matrix by itself.
+    """Optimises parameters (..., a, b); leading indices number independent matrices.
 
-    Used like torch's optimisers, but not derived from their base class, whose import takes a second.
+    It is used like torch's optimisers, but not derived from their base class, whose import takes a second.
 
     Attributes:
-        param_groups: dicts of "params" and their settings, which may be changed between steps.
+        param_groups: dicts of "params" and their settings, which may change between steps.
     """
 
     def __init__(
@@ -32,14 +32,14 @@ class Soap:
         weight_decay: float = 0.01,
         clip: float = math.inf,
     ):
-        """Takes parameters, or dicts of "params" and settings of their own.
+        """Takes parameters, or dicts of "params" and settings that differ from the arguments.
 
         Args:
             lr: learning rate.
-            betas: Adam's.
+            betas: decay rates of Adam's averages.
             eps: keeps Adam from dividing by zero.
-            weight_decay: decoupled from the gradients.
-            clip: greatest norm of all gradients together.
+            weight_decay: weight decay, decoupled from the gradients.
+            clip: largest norm of all gradients together.
         """
         defaults: dict[str, Any] = {"lr": lr, "betas": betas, "eps": eps, "weight_decay": weight_decay}
         given: list[Any] = list(parameters)
@@ -50,7 +50,7 @@ class Soap:
 
     @torch.no_grad()
     def step(self) -> None:
-        """One step along the gradients.
+        """Takes one step along the gradients.
 
         Raises:
             ValueError: a parameter has no gradient.
@@ -66,9 +66,9 @@ class Soap:
 
 
 class _State:
-    """The state of one group of parameters.
+    """The state of a group of parameters.
 
-    Elementwise operations treat all parameters at once, because small networks cost by the call.
+    Elementwise operations treat all parameters at once, because the number of calls determines the time.
     """
 
     def __init__(self, parameters: Sequence[torch.Tensor]):
@@ -80,7 +80,7 @@ class _State:
         self._bases: list[_Bases] = []
 
     def _parts(self, flat: torch.Tensor) -> list[torch.Tensor]:
-        """Views (M, a, b) of the parameters' parts."""
+        """Returns views (M, a, b) of the parts of each parameter."""
         return [part.view(shape) for part, shape in zip(flat.split(self._sizes), self._shapes, strict=True)]
 
     def move(
@@ -92,7 +92,7 @@ class _State:
         eps: float,
         weight_decay: float,
     ) -> None:
-        """Moves the parameters along the gradients of all of them."""
+        """Moves the parameters, given all of their gradients as one vector."""
         gradients = self._parts(flat)
         if not self._bases:
             self._bases = [_Bases(gradient) for gradient in gradients]
@@ -100,9 +100,9 @@ class _State:
         self._steps += 1
         first, second = betas
         self._mean.lerp_(flat, 1.0 - first)
-        turned = _flat([basis.into(gradient) for basis, gradient in zip(bases, gradients, strict=True)])
+        rotated = _flat([basis.into(gradient) for basis, gradient in zip(bases, gradients, strict=True)])
         mean = _flat([basis.into(part) for basis, part in zip(bases, self._means, strict=True)])
-        self._variance.mul_(second).addcmul_(turned, turned, value=1.0 - second)
+        self._variance.mul_(second).addcmul_(rotated, rotated, value=1.0 - second)
         deviation = (self._variance / (1.0 - second**self._steps)).sqrt_().add_(eps)
         moves = self._parts(mean.div_(deviation))
         rate = lr / (1.0 - first**self._steps)
@@ -115,9 +115,9 @@ class _State:
 
 
 class _Bases:
-    """Eigenvectors of the averaged G Gᵀ and Gᵀ G of gradients G (M, a, b), a basis for either side.
+    """Eigenvectors of the averaged G Gᵀ and Gᵀ G of gradients G (M, a, b): a basis for each side.
 
-    Rows, such as biases, have no bases.
+    Vectors, such as biases, have no bases.
     """
 
     def __init__(self, gradient: torch.Tensor):
@@ -127,15 +127,15 @@ class _Bases:
             self._left, self._right = (torch.linalg.eigh(square).eigenvectors for square in self._squares)
 
     def into(self, x: torch.Tensor) -> torch.Tensor:
-        """x (M, a, b) in the bases."""
+        """Transforms x (M, a, b) into the bases."""
         return torch.bmm(torch.bmm(self._left.mT, x), self._right) if self._matrix else x
 
     def out(self, x: torch.Tensor) -> torch.Tensor:
-        """x (M, a, b) from the bases back to the axes."""
+        """Transforms x (M, a, b) from the bases back to the original axes."""
         return torch.bmm(torch.bmm(self._left, x), self._right.mT) if self._matrix else x
 
     def average(self, gradient: torch.Tensor, weight: float) -> None:
-        """Includes a gradient in the averages."""
+        """Adds a gradient to the averages."""
         if self._matrix:
             for square, (a, b) in zip(
                 self._squares, ((gradient, gradient.mT), (gradient.mT, gradient)), strict=True
@@ -143,8 +143,7 @@ class _Bases:
                 square.baddbmm_(a, b, beta=1.0 - weight, alpha=weight)
 
     def refresh(self) -> None:
-        """Updates the bases."""
-        # One step of power iteration is far cheaper than an eigendecomposition.
+        """Updates the bases by a step of power iteration, far cheaper than an eigendecomposition."""
         if self._matrix:
             bases = zip(self._squares, (self._left, self._right), strict=True)
             self._left, self._right = (torch.linalg.qr(torch.bmm(*pair)).Q for pair in bases)

@@ -1,7 +1,6 @@
-"""`geort_coupled`, a network per finger and a residual that sees all fingertips, and the universal map.
+"""`geort_coupled` (a network per finger and a residual that sees all fingertips) and the universal map.
 
-Import from this module only; its submodules may change. docs/concepts/derivations.md derives the
-losses.
+Import from this module only; its submodules may change. docs/concepts/derivations.md derives the losses.
 """
 
 from typing import TYPE_CHECKING
@@ -34,12 +33,11 @@ def train_coupled(
 ) -> TrainingResult:
     """Trains a map in which each joint depends on all fingertips; see `TrainedMethod.train`.
 
-    Collisions are avoided where `data` has `shapes`. A finger that never pinches is named in a
-    RuntimeWarning.
+    Collisions are avoided if `data` has `shapes`. A RuntimeWarning names fingers that never pinch.
 
     Args:
         data, config, seed, device, report: see `TrainedMethod.train`.
-        start: where to start; None starts from random weights.
+        start: weights to start from and plays to add; None starts from random weights.
     """
     from geort_drake.retargeting.methods.coupled.training import train
 

@@ -1,4 +1,4 @@
-"""Hands whose robot postures nearly collide, remembered while a map is trained."""
+"""Remembers human hands whose robot postures nearly collide, while a map is trained."""
 
 import torch
 
@@ -6,14 +6,14 @@ from geort_drake.retargeting.methods.coupled.people import STEPS, Hands, Network
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 
 EVERY, SEARCH_EVERY = 2, 10  # steps between losses, and between searches
-REMEMBERED, DRAWN = 4000, 96  # hands
-NEAR, MARGIN, DEEP = 0.003, 0.001, -0.002  # m; gaps that are considered, wanted, and counted as a collision
-SCALE = 0.0025  # m
-JITTER = 0.004  # m; of the remembered fingertips
+REMEMBERED, DRAWN = 4000, 96  # number of hands in the memory, and in a batch
+NEAR, MARGIN, DEEP = 0.003, 0.001, -0.002  # m; gaps that are examined, wanted, and counted as collisions
+SCALE = 0.0025  # m; unit of the depths in the loss
+JITTER = 0.004  # m; standard deviation of the displacement of remembered fingertips
 
 
 class NearCollisions:
-    """Finds hands that nearly collide in batches, and gives a loss on those remembered."""
+    """Finds hands that nearly collide in batches, and computes a loss on the remembered ones."""
 
     def __init__(self, people: TrainingPeople, gaps: CollisionGaps):
         self._people, self._gaps = people, gaps
@@ -23,7 +23,7 @@ class NearCollisions:
 
     @torch.no_grad()
     def search(self, network: Network, hands: Hands) -> torch.Tensor:
-        """Remembers the hands of a batch that nearly collide; returns the fraction of steps that collide."""
+        """Remembers the hands of a batch that nearly collide; returns the fraction of `after` colliding."""
         candidates = torch.cat([hands.after, hands.pinching, hands.moved], 1)
         q = network(candidates, hands.codes)
         least = self._gaps.least(q.flatten(0, 1), NEAR)
@@ -34,7 +34,7 @@ class NearCollisions:
         return (least.reshape(len(q), -1)[:, :STEPS] < DEEP).float().mean()
 
     def loss(self, network: Network) -> torch.Tensor:
-        """Mean depth beyond the margin over SCALE; zero while few hands are remembered."""
+        """Returns the mean depth beyond the margin over SCALE; zero while few hands are remembered."""
         if len(self._hands) < DRAWN:
             return self._hands.new_zeros(())
         chosen = self._people.below(len(self._hands), DRAWN)

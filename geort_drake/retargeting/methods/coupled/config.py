@@ -12,42 +12,42 @@ from geort_drake.retargeting.method import TrainingConfig
 class CoupledConfig(TrainingConfig):
     """Length of a training, and the bounds of its constraints.
 
-    Coverage is maximised as far as the bounds allow. They hold on average over training hands, many of which
-    are harder than recorded ones.
+    Coverage is maximised as far as the bounds allow. The bounds apply to averages over training hands, many
+    of which are harder than recorded ones.
     """
 
     steps: int = 6000
     learning_rate: float = 0.005  # of SOAP; falls to zero along half a cosine
-    direction: float = 0.038  # 1 − mean cosine between motions of a human fingertip and the robot's
-    track: float = 0.035  # the same along recorded steps
-    cross_talk: float = 0.038  # mean motion of other fingertips over the moved one's
+    direction: float = 0.038  # 1 − mean cosine between motions of human and robot fingertips
+    track: float = 0.035  # the same for recorded steps
+    cross_talk: float = 0.038  # mean motion of the other fingertips over that of the moved one
     curvature: float = 0.12  # mean squared second over first differences
     uneven: float = 0.10  # fraction of motions whose gain is far from the finger's median
     open_pinch: float = 0.012  # fraction of pinches in which the robot's fingertips do not touch
-    deep_pinch: float = 0.01  # fraction in which they overlap by most of their radius
+    deep_pinch: float = 0.01  # fraction of pinches in which they overlap by most of their diameter
     false_pinch: float = 0.0012  # fraction of pairs that touch although the person's are apart
     collision: float = 0.0012  # fraction of hands in which links overlap by 2 mm
 
 
-# Of the universal map. Its first three bounds hold for the worse half of the people.
+# Settings of the universal map. Its first three bounds apply to the worse half of the people.
 UNIVERSAL_CONFIG = CoupledConfig(
     steps=30_000, learning_rate=0.003, direction=0.044, track=0.042, cross_talk=0.044
 )
 
 
 def refit_steps(seconds: float) -> int:
-    """Steps from the universal map to one person's: 400 for each minute of play, 600 to 2,000."""
+    """Returns the steps of a refit to one person: 400 for each minute of play, from 600 to 2,000."""
     return round(400 * min(max(seconds / 60, 1.5), 5.0))
 
 
 @dataclass(frozen=True)
 class Start:
-    """What a training of one person's map starts from.
+    """The start of a training of one person's map.
 
     Attributes:
         arrays: weights of a `CoupledRetargeter`.
-        p_HF: (M, T, F, 3) fingertips, m, of plays that are likely for the person. They are among the training
-            hands, because a short recording shows few of the places that the person will visit.
+        p_HF: (M, T, F, 3) fingertips, m, of M likely plays of the person. They complement the training hands,
+            because a short recording covers little of the space that the person will visit.
     """
 
     arrays: Mapping[str, np.ndarray]

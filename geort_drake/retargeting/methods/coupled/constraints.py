@@ -1,21 +1,21 @@
-"""Lagrange multipliers that adapt from the first step of a training on."""
+"""Lagrange multipliers that adapt during a training."""
 
 import math
 from collections.abc import Mapping
 
 import torch
 
-VIOLATIONS = (-0.5, 1.5)  # beyond these, a violation changes no more
+VIOLATIONS = (-0.5, 1.5)  # relative violations are clipped to this range
 BOUNDS = (0.1, 30.0)  # of multipliers, without the proportional part
 AVERAGING = 0.02  # weight of the latest figure in its running mean
 
 
 class Multipliers:
-    """One multiplier per constraint figure ≤ bound, by multiplicative dual ascent.
+    """One multiplier per constraint figure ≤ bound, adapted by multiplicative dual ascent.
 
-    A proportional part answers a violation at once, which matters in short trainings (Stooke et al. 2020,
+    A proportional part reacts to a violation at once, which matters in short trainings (Stooke et al. 2020,
     "Responsive safety in reinforcement learning by PID Lagrangian methods"). The figures of batches are
-    noisy, so each is averaged over some fifty batches.
+    noisy, so each is averaged over about fifty batches.
 
     Attributes:
         values: multiplier of each constraint.
@@ -26,9 +26,9 @@ class Multipliers:
         """Takes the bound of each constraint.
 
         Args:
-            start: of all multipliers.
-            rate: change of a multiplier's logarithm per step, for a relative violation of 1.
-            proportion: of the logarithm, for the same violation while it lasts.
+            start: initial value of all multipliers.
+            rate: change of a multiplier's logarithm per step for a relative violation of 1.
+            proportion: addition to the logarithm while such a violation lasts.
         """
         self._bounds, self._rate, self._proportion = dict(bounds), rate, proportion
         self.values = dict.fromkeys(bounds, start)
@@ -36,7 +36,7 @@ class Multipliers:
         self.figures: dict[str, float] = {}
 
     def update(self, figures: Mapping[str, torch.Tensor]) -> None:
-        """Takes the figures of a batch; those of some constraints may be missing."""
+        """Updates the multipliers from the figures of a batch, which may lack some constraints."""
         for name, figure in figures.items():
             value = float(figure.detach())
             mean = self.figures.get(name, value)

@@ -1,6 +1,6 @@
-"""The constraints of a training: for each a loss, and the figure that its bound is for.
+"""The constraints of a training: for each a differentiable loss, and the figure to which its bound applies.
 
-Lengths on the robot's side are in units of the fingertips' radius, so that small hands close their pinches.
+The robot's pinch distances are in units of the fingertip radius, so that small hands close their pinches.
 """
 
 from dataclasses import dataclass
@@ -16,20 +16,20 @@ from geort_drake.retargeting.methods.coupled.people import (
     of_finger,
 )
 
-# In tip radii; two tips touch at a distance of 2.
+# Distances in fingertip radii; two tips touch at a distance of 2.
 PINCH_TARGET, PINCH_SCALE = 0.875, 0.667
 DEEP, DEEP_MARGIN = 0.333, 0.5
 FALSE_MARGIN = 0.25
-SCALE = 0.4  # of depths and of false pinches
-GAIN_BAND = 0.6  # of log gain around its median
+SCALE = 0.4  # unit of the depths of deep and false pinches
+GAIN_BAND = 0.6  # permitted deviation of the logarithm of the gain from its median
 STEP_RANGE = (0.001, 0.03)  # m; shorter steps are noise, longer ones gaps
 
 
 @dataclass(frozen=True)
 class RobotTips:
-    """The robot's fingertips (G, ·, F, 3) in B, m, for the hands of a batch of the same names.
+    """The robot's fingertips (G, ·, F, 3) in B, m, for the fields of `Hands` of the same names.
 
-    `ahead` and `behind` are for the moved hands, whose finger is displaced by d and −d.
+    `ahead` and `behind` are those of the moved hands with one finger displaced by d and −d.
     """
 
     moved: torch.Tensor
@@ -43,38 +43,38 @@ class RobotTips:
 def constraint_terms(
     hands: Hands, robot: RobotTips, people: TrainingPeople, tip_radius: float
 ) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
-    """Loss and figure of each constraint but collision, by the names of `CoupledConfig`.
+    """Returns loss and figure of each constraint except collision, by the names in `CoupledConfig`.
 
-    Direction, track and cross-talk are of the half of the people for whom they are worse, or of one person.
+    With codes, direction, track and cross-talk are means over the half of the people for whom they are worse.
     """
     mean = _worse_half if people.codes.shape[2] else torch.mean
     motion = robot.ahead - robot.moved
     own = of_finger(motion, hands.finger)
-    row = {
-        "direction": _twice(mean((1.0 - cosine_similarity(own, hands.d, dim=-1, eps=1e-7)).mean(1))),
-        "track": _twice(mean(_track(hands, robot))),
-        "cross_talk": _twice(mean(_cross_talk(motion, hands.finger))),
-        "curvature": _twice(_curvature(hands, robot, own)),
-        "uneven": _uneven(own, hands.d),
+    terms = {
+        "direction": _same_figure(mean((1.0 - cosine_similarity(own, hands.d, dim=-1, eps=1e-7)).mean(1))),
+        "track": _same_figure(mean(_track(hands, robot))),
+        "cross_talk": _same_figure(mean(_cross_talk(motion, hands.finger))),
+        "curvature": _same_figure(_curvature(hands, robot, own)),
+        "uneven": _unevenness(own, hands.d),
     }
     distance = people.pair_distances(robot.pinching) / tip_radius
     pinched = distance.gather(-1, hands.pinch_pair[..., None])[..., 0]
     weight = hands.pinched.float()
-    row["open_pinch"] = (_mean(pinch_loss(pinched), weight), _mean(pinched > 2.0, weight))
+    terms["open_pinch"] = (_mean(pinch_loss(pinched), weight), _mean(pinched > 2.0, weight))
     deep = torch.relu(DEEP_MARGIN - pinched) / SCALE
-    row["deep_pinch"] = (_mean(deep, weight), _mean(pinched < DEEP, weight))
-    row["false_pinch"] = _false_pinches(hands, robot, people, tip_radius)
-    return row
+    terms["deep_pinch"] = (_mean(deep, weight), _mean(pinched < DEEP, weight))
+    terms["false_pinch"] = _false_pinches(hands, robot, people, tip_radius)
+    return terms
 
 
 def pinch_loss(distance: torch.Tensor) -> torch.Tensor:
-    """e² / (1 + e) with e = |distance − target| / scale, in tip radii: square near, linear far away."""
+    """Computes e² / (1 + e) with e = |distance − target| / scale, in tip radii: quadratic, then linear."""
     e = (distance - PINCH_TARGET).abs() / PINCH_SCALE
     return e.square() / (1.0 + e)
 
 
 def _track(hands: Hands, robot: RobotTips) -> torch.Tensor:
-    """(G,) mean of 1 − cosine along the recorded steps of each person."""
+    """Returns (G,) the mean of 1 − cosine over the recorded steps of each person."""
     step, answer = hands.after - hands.before, robot.after - robot.before
     length = step.norm(dim=-1)
     long = (length > STEP_RANGE[0]) & (length < STEP_RANGE[1])
@@ -84,7 +84,7 @@ def _track(hands: Hands, robot: RobotTips) -> torch.Tensor:
 
 
 def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
-    """(G,) mean motion of the others over that of the moved finger; `floor`, m, keeps gradients finite."""
+    """Returns (G,) the others' mean motion over the moved finger's; `floor`, m, keeps gradients finite."""
     fingers = motion.shape[2]
     length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
     own = length.gather(2, finger[..., None])[..., 0]
@@ -97,8 +97,8 @@ def _curvature(hands: Hands, robot: RobotTips, own: torch.Tensor) -> torch.Tenso
     return (second.square().sum(-1).mean(1) / (own.square().sum(-1).mean(1) + 1e-12)).mean()
 
 
-def _uneven(own: torch.Tensor, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Excess of log gain beyond the band around the person's median, and the fraction beyond it."""
+def _unevenness(own: torch.Tensor, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Returns the mean excess of log gain over the band around a person's median, and its frequency."""
     gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / d.square().sum(-1))
     excess = torch.relu((gain - gain.detach().median(1, keepdim=True).values).abs() - GAIN_BAND)
     return excess.mean(), (excess > 0).float().mean()
@@ -115,7 +115,7 @@ def _false_pinches(
 
 
 def _worse_half(values: torch.Tensor) -> torch.Tensor:
-    """The mean over the half of the people (G,) for whom a figure is worse."""
+    """Returns the mean over the half of the people (G,) for whom a figure is worse."""
     return values.topk((len(values) + 1) // 2).values.mean()
 
 
@@ -123,5 +123,5 @@ def _mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     return (values * weight).sum() / (weight.sum() + 1e-9)
 
 
-def _twice(loss: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _same_figure(loss: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return loss, loss

@@ -10,13 +10,13 @@ from geort_drake.errors import TrainingError
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import RetargetingNetwork, StackedMlp
 
-HIDDEN, RESIDUAL_HIDDEN = 64, 128  # widths of layers, as of the universal map
+HIDDEN, RESIDUAL_HIDDEN = 64, 128  # widths of hidden layers, also in the universal map
 
 
 class CoupledNetwork(RetargetingNetwork):
     """q = centre + half_range · tanh(base_i(x_i) + residual(x_1, …, x_F)), x the normalised fingertips.
 
-    The residual starts at zero, so the map starts as independent fingers.
+    The residual starts at zero, so the fingers start independent of each other.
     """
 
     def __init__(
@@ -31,14 +31,14 @@ class CoupledNetwork(RetargetingNetwork):
             nn.init.zeros_(parameters[-1])
 
     def groups(self, weight_decay: float) -> list[dict]:
-        """Groups of parameters for an optimiser. The residual, which sees combinations, decays faster."""
+        """Returns parameter groups for an optimiser; the residual, which sees combinations, decays faster."""
         return [
             {"params": [*self.mlp.parameters()], "weight_decay": weight_decay},
             {"params": [*self.residual.parameters()], "weight_decay": 3.0 * weight_decay},
         ]
 
     def forward(self, p_HF: torch.Tensor, codes: torch.Tensor | None = None) -> torch.Tensor:
-        """Joint angles (..., n) in rad for human fingertips (..., F, 3) in m; the map needs no codes."""
+        """Computes joint angles (..., n), rad, for human fingertips (..., F, 3), m; codes are ignored."""
         x = (p_HF.reshape(-1, *p_HF.shape[-2:]).transpose(0, 1) - self.mean) / self.scale
         together = x.transpose(0, 1).reshape(1, x.shape[1], -1)
         y = self.mlp(x).transpose(0, 1).reshape(x.shape[1], -1) + self.residual(together)[0]
@@ -46,7 +46,7 @@ class CoupledNetwork(RetargetingNetwork):
         return q.reshape(*p_HF.shape[:-2], -1)
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Arrays for `CoupledRetargeter`, in float64; the normalisation is folded into the first layers."""
+        """Returns float64 arrays for `CoupledRetargeter`; the first layers include the normalisation."""
         arrays = super().arrays()
         weights = [weight.detach().cpu().double().numpy()[0] for weight in self.residual.weights]
         biases = [bias.detach().cpu().double().numpy()[0, 0] for bias in self.residual.biases]
@@ -57,10 +57,10 @@ class CoupledNetwork(RetargetingNetwork):
         return arrays
 
     def set_arrays(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Takes over the weights that `arrays` of an equal network returned.
+        """Sets the weights to those that `arrays` of an equal network returned.
 
         Raises:
-            TrainingError: they are of layers of other shapes.
+            TrainingError: an array is missing or has another shape.
         """
         for name, own in self.arrays().items():
             if name not in arrays or arrays[name].shape != own.shape:
@@ -69,7 +69,7 @@ class CoupledNetwork(RetargetingNetwork):
                     f"weights to start from: {name} must be of shape {own.shape}, it is {given}"
                 )
         values = {name: np.asarray(array, dtype=float) for name, array in arrays.items()}
-        # Undoes the folding of `arrays`, with this network's own normalisation.
+        # Undoes the folding of `arrays` for this network's normalisation.
         mean, scale = self.mean.double().cpu().numpy(), self.scale.double().cpu().numpy()
         W, R = values["weight0"], values["residual_weight0"]
         values["weight0"], values["bias0"] = W * scale.transpose(0, 2, 1), values["bias0"] + mean @ W

@@ -9,29 +9,29 @@ import torch
 from geort_drake.people.recording import PINCH_M
 from geort_drake.retargeting.clouds import first_in_voxels
 
-ANCHORS = 400  # per person and finger: frames such that every place of the finger is equally likely
+ANCHORS = 400  # frames per person and finger, drawn uniformly over the finger's visited voxels
 ANCHOR_VOXEL = 0.002  # m
-PINCH_REACH = 0.035  # m; fingertips nearer than this are moved together to make up pinches
+PINCH_REACH = 0.035  # m; fingertips closer than this are moved together in synthetic pinches
 APART = 0.030  # m; fingertips farther apart than this must not touch
 NEARLY_APART = 0.027  # m; the loss of false pinches begins here
-SPREAD, SPREAD_FRACTION = 0.006, 0.3  # m; displacement of the fingertips of a fraction of the hands
-MIXED_FRACTION = 0.35  # of moved hands: the other fingers are from other frames
+SPREAD, SPREAD_FRACTION = 0.006, 0.3  # m; deviation of fingertips, and the fraction of hands that have it
+MIXED_FRACTION = 0.35  # fraction of moved hands whose other fingers are from other frames
 STEP_LAGS = (1, 2, 3)  # frames
-MOVED, STEPS, PINCHES = 20, 16, 14  # hands per person and batch; as many pinches again are made up
+MOVED, STEPS, PINCHES = 20, 16, 14  # hands per person and batch; as many pinches again are synthetic
 
-# From hands (G, N, F, 3), m, of G people with codes (G, C) to joint angles (G, N, n), rad.
+# Maps hands (G, N, F, 3), m, of G people with codes (G, C) to joint angles (G, N, n), rad.
 Network = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 @dataclass(frozen=True)
 class Hands:
-    """A batch of hands of G people, fingertips (G, ·, F, 3) in H, m.
+    """A batch of hands of G people: fingertips (G, ·, F, 3) in H, m.
 
     Attributes:
-        codes: (G, C).
-        moved: of which the finger `finger` (G, ·) moves by d (G, ·, 3) and −d.
-        before, after: the beginning and the end of steps.
-        pinching: the pair `pinch_pair` (G, ·) meets, where `pinched` (G, ·) is true.
+        codes: (G, C) codes of the people.
+        moved: hands whose finger `finger` (G, ·) moves by d (G, ·, 3), m, and −d.
+        before, after: hands at the beginning and the end of recorded steps.
+        pinching: hands whose pair `pinch_pair` (G, ·) meets where `pinched` (G, ·) is true.
     """
 
     codes: torch.Tensor
@@ -51,9 +51,9 @@ class TrainingPeople:
     Attributes:
         p_HF: (N, T, F, 3) fingertips, m.
         pairs: pairs of finger numbers that pinch.
-        codes: (N, K, C) of each person; empty for one person whose map needs none.
-        reach: (N, F) places that a fingertip visits, over those of the average person; at most 1.
-        anchors: (N, F, ANCHORS) frames such that every place of the finger is equally likely.
+        codes: (N, K, C) K codes of each person; C is 0 for a map that needs none.
+        reach: (N, F) number of places that a fingertip visits, over the average person's; at most 1.
+        anchors: (N, F, ANCHORS) frames, drawn uniformly over the finger's visited voxels.
         pinch_frames: number of frames with a pinch.
     """
 
@@ -73,10 +73,10 @@ class TrainingPeople:
 
         Args:
             p_HF, pairs, codes, reach: see the attributes.
-            generator, rng: of the batches, on the CPU, and of the anchors.
-            pinch_spread: standard deviation of the places of made-up pinches from recorded ones, m.
-            weights: of the people in batches.
-            device: of the tensors.
+            generator, rng: draw the batches, on the CPU, and the anchors.
+            pinch_spread: standard deviation of synthetic pinches from recorded ones, m.
+            weights: relative frequency of each person in batches.
+            device: device of the tensors.
         """
         people, _, fingers, _ = p_HF.shape
         anchors = np.zeros((people, fingers, ANCHORS), dtype=int)
@@ -96,12 +96,12 @@ class TrainingPeople:
         self.pinch_frames = sum(map(len, self._pinching))
 
     def pair_distances(self, points: torch.Tensor) -> torch.Tensor:
-        """(..., P) distances of the `pairs` of fingertips (..., F, 3); with a finite gradient everywhere."""
+        """Returns distances (..., P) of `pairs` of fingertips (..., F, 3); gradients are always finite."""
         d = points[..., self._first, :] - points[..., self._second, :]
         return torch.sqrt(d.square().sum(-1) + 1e-10)
 
     def draw(self, count: int) -> Hands:
-        """Hands of `count` people."""
+        """Draws a batch of hands of `count` people."""
         people = self.draw_people(count)
         codes = self.codes[people, self.below(self.codes.shape[1], count)]
         rows = people[:, None]
@@ -114,8 +114,8 @@ class TrainingPeople:
         start = self.below(self.p_HF.shape[1] - max(STEP_LAGS), count, STEPS)
         lag = torch.tensor(STEP_LAGS, device=self.device)[self.below(len(STEP_LAGS), count, STEPS)]
         offset = self._offset(count, STEPS)
-        real, real_pair, really = self._recorded_pinches(people)
-        made, made_pair, possible = self._synthetic_pinches(people)
+        recorded, recorded_pair, recorded_pinched = self._recorded_pinches(people)
+        synthetic, synthetic_pair, synthetic_pinched = self._synthetic_pinches(people)
         return Hands(
             codes,
             moved=hands + self._offset(count, MOVED),
@@ -123,32 +123,32 @@ class TrainingPeople:
             d=d,
             before=self.p_HF[rows, start] + offset,
             after=self.p_HF[rows, start + lag] + offset,
-            pinching=torch.cat([real, made], 1),
-            pinch_pair=torch.cat([real_pair, made_pair], 1),
-            pinched=torch.cat([really, possible], 1),
+            pinching=torch.cat([recorded, synthetic], 1),
+            pinch_pair=torch.cat([recorded_pair, synthetic_pair], 1),
+            pinched=torch.cat([recorded_pinched, synthetic_pinched], 1),
         )
 
     def draw_people(self, count: int) -> torch.Tensor:
-        """Draws (count,) numbers of people with their weights."""
+        """Draws the numbers (count,) of people by their weights."""
         return self._weighted[self.below(len(self._weighted), count)]
 
     def below(self, limit: int, *shape: int) -> torch.Tensor:
-        """Whole numbers below `limit`."""
+        """Draws uniform integers from 0 to below `limit`."""
         return torch.randint(limit, shape, generator=self._generator).to(self.device)
 
     def displaced(self, hands: torch.Tensor, distance: float) -> torch.Tensor:
-        """The hands with every fingertip displaced by normal numbers of this deviation, m."""
+        """Displaces every fingertip by normal noise with standard deviation `distance`, m."""
         return hands + distance * self._normal(*hands.shape)
 
     def _recorded_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        chosen = torch.stack([self._some(self._pinching[i]) for i in people.tolist()])
+        chosen = torch.stack([self._draw_pinches(self._pinching[i]) for i in people.tolist()])
         distance, pair = self._distances[people[:, None], chosen].min(-1)
         return self.p_HF[people[:, None], chosen], pair, distance < PINCH_M
 
     def _synthetic_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Hands in which the nearest pair was moved together; the other fingers may be from other frames."""
+        """Moves the nearest pair of hands together; the other fingers may be from other frames."""
         rows, shape = people[:, None], (len(people), PINCHES)
-        chosen = torch.stack([self._some(self._near[i]) for i in people.tolist()])
+        chosen = torch.stack([self._draw_pinches(self._near[i]) for i in people.tolist()])
         hands = self.p_HF[rows, chosen]
         distance, pair = self._distances[rows, chosen].min(-1)
         first, second = self._first[pair], self._second[pair]
@@ -168,8 +168,8 @@ class TrainingPeople:
         rows = self.below(self.p_HF.shape[1], len(people), count, fingers)
         return self.p_HF[people[:, None, None], rows, torch.arange(fingers, device=self.device)]
 
-    def _some(self, rows: torch.Tensor) -> torch.Tensor:
-        """PINCHES of the rows, or of all frames where there is none."""
+    def _draw_pinches(self, rows: torch.Tensor) -> torch.Tensor:
+        """Draws PINCHES of the rows, or of all frames if there are no rows."""
         return rows[self.below(len(rows), PINCHES)] if len(rows) else self.below(self.p_HF.shape[1], PINCHES)
 
     def _offset(self, *shape: int) -> torch.Tensor:
@@ -187,5 +187,5 @@ class TrainingPeople:
 
 
 def of_finger(x: torch.Tensor, finger: torch.Tensor) -> torch.Tensor:
-    """(G, N, 3) of x (G, N, F, 3): the finger (G, N) of each hand."""
+    """Selects from x (G, N, F, 3) the finger (G, N) of each hand: (G, N, 3)."""
     return x.gather(2, finger[..., None, None].expand(-1, -1, 1, 3))[:, :, 0]

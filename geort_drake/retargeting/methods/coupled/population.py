@@ -1,4 +1,4 @@
-"""People of the population: their codes, and their plays with another person's hand."""
+"""Codes of the population's people, and their plays transferred to another person's hand."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,18 +11,18 @@ from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.population import sample_population
 from geort_drake.retargeting.person_code import AveragePerson, Observation, average_person, observe
 
-CODES = 8  # per person: of a frame, of the whole play and of windows of random lengths
-WHOLE = 1  # the code of the whole play
+CODES = 8  # per person: of one frame, of the whole play and of windows of random lengths
+WHOLE = 1  # index of the code of the whole play
 
 
 @dataclass(frozen=True)
 class CodedPeople:
-    """What plays show of N people with F fingers.
+    """Codes of N people with F fingers, from their plays.
 
     Attributes:
-        codes: (N, CODES, C).
-        reach: (N, F) places that a fingertip visits, over those of the average person; at most 1.
-        average: the average person, with whom codes are made.
+        codes: (N, CODES, C) codes of each person.
+        reach: (N, F) number of places that a fingertip visits, over the average person's; at most 1.
+        average: the average person, the prior of the codes.
     """
 
     codes: torch.Tensor
@@ -31,7 +31,7 @@ class CodedPeople:
 
 
 def code_people(p_HK: np.ndarray, finger_names: Sequence[str], rng: np.random.Generator) -> CodedPeople:
-    """Codes the people of keypoints p_HK (N, T, 21, 3), m, in whole plays and parts of them."""
+    """Computes the codes of N people from keypoints p_HK (N, T, 21, 3), m, of whole plays and their parts."""
     observations = [[observe(part, finger_names) for part in _parts(each, rng)] for each in p_HK]
     whole = [row[WHOLE] for row in observations]
     average = average_person(whole, observations)
@@ -42,12 +42,12 @@ def code_people(p_HK: np.ndarray, finger_names: Sequence[str], rng: np.random.Ge
 def likely_plays(
     p_HK: np.ndarray, finger_names: Sequence[str], seed: int, people: int = 8, duration_s: float = 60.0
 ) -> np.ndarray:
-    """Plays of the population, as if its people had the hand of the person in keypoints p_HK (T, 21, 3), m.
+    """Transfers plays of the population to the hand of the person in keypoints p_HK (T, 21, 3), m.
 
-    Knuckles are aligned, and each fingertip's distance from its knuckle is scaled with the finger's length.
+    Knuckles are aligned, and each fingertip's offset from its knuckle is scaled with the finger's length.
 
     Returns:
-        (people, frames, F, 3) fingertips in H, m.
+        Fingertips (people, frames, F, 3) in H, m.
     """
     person, tips = observe(p_HK, finger_names), [TIP_KEYPOINT[name] for name in finger_names]
     centred = person.knuckles - person.knuckles.mean(axis=0)
@@ -61,7 +61,7 @@ def likely_plays(
 
 
 def _parts(p_HK: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
-    """CODES parts of a play (T, 21, 3): a frame, all of it, and windows of log-uniform lengths."""
+    """Draws CODES parts of a play (T, 21, 3): a frame, the whole, and windows of log-uniform lengths."""
     total = len(p_HK)
     lengths = [1, total, *np.exp(rng.uniform(0.0, np.log(total), CODES - 2)).astype(int)]
     starts = [rng.integers(total - length + 1) for length in lengths]

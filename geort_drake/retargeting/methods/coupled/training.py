@@ -1,4 +1,4 @@
-"""Trains maps: most coverage subject to constraints, for one person or on a population of people.
+"""Trains maps to maximise coverage under constraints, for one person or for a population.
 
 docs/concepts/derivations.md explains the differences from the paper.
 """
@@ -30,18 +30,18 @@ from geort_drake.retargeting.training.human_data import HumanData, pinch_pairs
 from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.soap import Soap
 
-ROBOT_SAMPLES, ROBOT_VOXEL = 60_000, 0.005  # of the robot's C-space; m
+ROBOT_SAMPLES, ROBOT_VOXEL = 60_000, 0.005  # samples of the robot's C-space, and their voxels, m
 COVERAGE_WEIGHT = 4.0
 PEOPLE_PER_BATCH, PEOPLE_PER_REFIT_BATCH = 24, 10
 WEIGHT_DECAY = 0.01
-MOMENTUM = (0.95, 0.99)  # gradients differ from person to person
-# m; of made-up pinches around recorded ones. One person's recording shows fewer of their places.
+MOMENTUM = (0.95, 0.99)  # high, because gradients differ between people
+# Deviation of synthetic pinches from recorded ones, m; one person's recording covers fewer positions.
 PINCH_SPREAD, PINCH_SPREAD_OF_ONE = 0.005, 0.010
-LIKELY_WEIGHT = 0.5  # of the likely hands of a refit, over as many recorded ones
-# Of the multipliers. A short training has no time to correct multipliers that rose too far.
+LIKELY_WEIGHT = 0.5  # of a likely hand in a refit, relative to a recorded one
+# Settings of the multipliers. A short training has no time to correct multipliers that rose too far.
 POPULATION = {"start": 3.0, "rate": 0.02, "proportion": 0.0}
 ONE_PERSON = {"start": 1.0, "rate": 0.005, "proportion": 1.0}
-AVERAGED_STEPS = 90  # at the end, over which weights are averaged exponentially
+AVERAGED_STEPS = 90  # length of the exponential average of the weights
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class UniversalTraining:
     """A trained universal map.
 
     Attributes:
-        arrays: of the network and of the average person, as `UniversalRetargeter` takes them.
-        figures: running mean of each constraint's figure at the end, and "coverage".
-        seconds: wall time of the descent.
+        arrays: arrays of the network and of the average person for `UniversalRetargeter`.
+        figures: final running mean of each constraint's figure, and of "coverage".
+        seconds: wall time of the descent, s.
     """
 
     arrays: dict[str, np.ndarray]
@@ -72,7 +72,7 @@ def train(
         raise TrainingError(f"geort_coupled takes a CoupledConfig, not a {type(config).__name__}")
     config.validate()
     data.check_q()
-    kinematics, place = data.kinematics, device_of(device)
+    kinematics, dev = data.kinematics, device_of(device)
     human = HumanData(data.p_HF, kinematics.finger_names)
     human.check_pinches()
     if not human.pairs:
@@ -96,14 +96,14 @@ def train(
         reach=torch.ones(p_HF.shape[0], p_HF.shape[2]),
         pinch_spread=PINCH_SPREAD_OF_ONE,
         weights=weights,
-        device=place,
+        device=dev,
     )
     with one_thread():
         q = torch.tensor(np.asarray(data.q), dtype=torch.float32)
         shapes = None if data.shapes is None else data.shapes()
         batch = PEOPLE_PER_BATCH if start is None else PEOPLE_PER_REFIT_BATCH
         training = _Training(
-            network.to(place), people, kinematics, shapes, q, config, ONE_PERSON, generator, batch
+            network.to(dev), people, kinematics, shapes, q, config, ONE_PERSON, generator, batch
         )
         descent = training.run(report)
     return TrainingResult(
@@ -128,10 +128,10 @@ def train_universal(
     """Trains a universal map on the population of `geort_drake.people.population`.
 
     Args:
-        kinematics, shapes: of the robot hand, mirrored for a left one.
-        config: settings.
+        kinematics, shapes: kinematics and collision shapes of the robot hand, mirrored for a left hand.
+        config: settings of the training.
         people: number of people in the population.
-        seed: of the population, the initial weights and all draws.
+        seed: seed of the population, the initial weights and all draws.
         device: "cpu" or "cuda".
         report: see `Report`.
 
@@ -142,7 +142,7 @@ def train_universal(
     config.validate()
     if people < 1:
         raise TrainingError(f"training: people must be at least 1, they are {people}")
-    names, place = kinematics.finger_names, device_of(device)
+    names, dev = kinematics.finger_names, device_of(device)
     if "thumb" not in names or len(names) < 2:
         raise TrainingError(f"the hand needs a thumb and another finger, it has {', '.join(names)}")
     generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
@@ -150,14 +150,14 @@ def train_universal(
     coded = code_people(p_HK, names, rng)
     p_HF = p_HK[:, :, [TIP_KEYPOINT[name] for name in names]]
     drawn = TrainingPeople(
-        p_HF, pinch_pairs(names), generator, rng, coded.codes, coded.reach, PINCH_SPREAD, [1] * people, place
+        p_HF, pinch_pairs(names), generator, rng, coded.codes, coded.reach, PINCH_SPREAD, [1] * people, dev
     )
     with one_thread():
         lower, upper = torch.tensor(kinematics.lower).float(), torch.tensor(kinematics.upper).float()
         q = lower + (upper - lower) * torch.rand(ROBOT_SAMPLES, len(lower), generator=generator)
         x = relative_to_knuckles(torch.tensor(p_HF), coded.codes[:, WHOLE]).flatten(0, 1)
         network = UniversalNetwork(kinematics, coded.codes.flatten(0, 1), x, drawn.pairs, generator)
-        training = _Training(network.to(place), drawn, kinematics, shapes, q, config, POPULATION, generator)
+        training = _Training(network.to(dev), drawn, kinematics, shapes, q, config, POPULATION, generator)
         descent = training.run(report)
     if descent.stopped_at is not None:
         raise TrainingError(f"the loss stopped being finite at step {descent.stopped_at}")
@@ -166,7 +166,7 @@ def train_universal(
 
 
 class _Training:
-    """The state of one training."""
+    """The state of a training."""
 
     def __init__(
         self,
@@ -180,8 +180,8 @@ class _Training:
         generator: torch.Generator,
         batch: int = PEOPLE_PER_BATCH,
     ):
-        """Takes random joint angles q (N, n), rad, and the people per batch; without `shapes`, collisions are
-        ignored."""
+        """Takes random joint angles q (N, n), rad, and the number of people per batch. Without `shapes`,
+        collisions are ignored."""
         self.network, self.people, self.kinematics, self.config = network, people, kinematics, config
         with torch.no_grad():
             tips = kinematics.fingertips(q).numpy()
@@ -214,9 +214,9 @@ class _Training:
         )
 
     def _losses(self, step: int) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """The Lagrangian on one batch, and each loss."""
+        """Computes the Lagrangian on one batch, and its losses by name."""
         hands = self.people.draw(self._batch)
-        robot = self._answers(hands)
+        robot = self._robot_tips(hands)
         if robot is None:
             return torch.tensor(math.nan), {}
         terms = constraint_terms(hands, robot, self.people, self.kinematics.tip_radius)
@@ -233,12 +233,12 @@ class _Training:
         self.covered += 0.02 * (self.coverage.reached - self.covered)
         return total + COVERAGE_WEIGHT * losses["coverage"], losses
 
-    def _answers(self, hands: Hands) -> RobotTips | None:
-        """Where the map puts the robot's fingertips; None if it is not finite."""
+    def _robot_tips(self, hands: Hands) -> RobotTips | None:
+        """Computes the robot's fingertips under the map; None if joint angles are not finite."""
         d = torch.nn.functional.one_hot(hands.finger, hands.moved.shape[2])[..., None] * hands.d[:, :, None]
-        every = [hands.moved, hands.moved + d, hands.moved - d, hands.before, hands.after, hands.pinching]
-        q = self.network(torch.cat(every, 1), hands.codes)
+        parts = [hands.moved, hands.moved + d, hands.moved - d, hands.before, hands.after, hands.pinching]
+        q = self.network(torch.cat(parts, 1), hands.codes)
         if not torch.isfinite(q).all():
             return None
-        tips = self.kinematics.fingertips(q).split([part.shape[1] for part in every], dim=1)
+        tips = self.kinematics.fingertips(q).split([part.shape[1] for part in parts], dim=1)
         return RobotTips(*tips)

@@ -11,26 +11,26 @@ from torch.nn.functional import silu
 from geort_drake.retargeting.methods.coupled.network import HIDDEN, RESIDUAL_HIDDEN
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
-FAR = 3.0  # standard deviations at which the code is clamped
-PAIR_SCALE = 0.05  # m; of the differences between the thumb's tip and the others
-CODE_HIDDEN = 80  # width of the layers that take the code
+MAX_DEVIATION = 3.0  # standard deviations to which the code is clamped
+PAIR_SCALE = 0.05  # m; unit of the differences between the thumb's tip and the others
+CODE_HIDDEN = 80  # width of the layers that process the code
 
 
 def relative_to_knuckles(p_HF: torch.Tensor, codes: torch.Tensor) -> torch.Tensor:
-    """Fingertips (G, N, F, 3), m, relative to their knuckles, over the fingers' lengths, both in `codes`."""
+    """Returns fingertips (G, N, F, 3), m, relative to knuckles, over finger lengths, both from `codes`."""
     F = p_HF.shape[2]
     knuckles, lengths = codes[:, None, : 3 * F], codes[:, None, 3 * F : 4 * F]
     return (p_HF - knuckles.unflatten(-1, (F, 3))) / lengths[..., None]
 
 
 class UniversalNetwork(nn.Module):
-    """q = centre + half_range · tanh(base_i(x_i) + residual(x_1, …, x_F, d_1, …, d_P)) of a person's hands.
+    """q = centre + half_range · tanh(base_i(x_i) + residual(x_1, …, x_F, d_1, …, d_P)) for a person's hands.
 
-    x_i is fingertip i relative to its knuckle, over the finger's length, then mapped by an affine map of the
-    person's; d_j are the differences between the thumb's tip and the others in metres, so that touching looks
-    alike for hands of all sizes. A small network turns the code into that affine map and into gains and
-    offsets of the hidden units. All of them precede an activation, so they fold into the weights of a
-    `CoupledRetargeter`.
+    x_i is fingertip i relative to its knuckle, over the finger's length, transformed by an affine map of the
+    person. d_j are the differences between the thumb's tip and the others, not scaled with the hand, so that
+    contact looks the same for hands of all sizes. A small network computes this affine map, and gains and
+    offsets of the hidden units, from the code. All of these precede an activation, so they fold into the
+    weights of a `CoupledRetargeter`.
     """
 
     code_mean: torch.Tensor
@@ -48,14 +48,14 @@ class UniversalNetwork(nn.Module):
         pairs: Sequence[tuple[int, int]],
         generator: torch.Generator,
     ):
-        """Takes facts of the people of the training.
+        """Takes the statistics of the training's people.
 
         Args:
-            kinematics: of the robot hand.
-            codes: (N, C) of people.
+            kinematics: kinematics of the robot hand.
+            codes: (N, C) codes of people.
             x: (N, F, 3) fingertips relative to their knuckles, over the fingers' lengths.
-            pairs: numbers of the fingers that pinch.
-            generator: of the initial weights.
+            pairs: pairs of finger numbers that pinch.
+            generator: draws the initial weights.
         """
         super().__init__()
         F = self.fingers = len(kinematics.fingers)
@@ -94,7 +94,7 @@ class UniversalNetwork(nn.Module):
         self.person_biases = nn.ParameterList([zeros(1, 1, 12 * F), zeros(4 * F, 1, h), zeros(2, 1, r)])
 
     def groups(self, weight_decay: float) -> list[dict]:
-        """Groups of parameters for an optimiser. Parts that see combinations decay faster."""
+        """Returns parameter groups for an optimiser; parts that see combinations decay faster."""
         own = [*self.weights, *self.biases]
         shared = [parameter for parameter in self.parameters() if all(parameter is not one for one in own)]
         return [
@@ -103,9 +103,9 @@ class UniversalNetwork(nn.Module):
         ]
 
     def forward(self, p_HF: torch.Tensor, codes: torch.Tensor) -> torch.Tensor:
-        """Joint angles (G, N, n), rad, of fingertips (G, N, F, 3), m, of G people with codes (G, C)."""
+        """Computes joint angles (G, N, n), rad, for fingertips (G, N, F, 3), m, and people's codes (G, C)."""
         G, N, F, _ = p_HF.shape
-        z = ((codes - self.code_mean) / self.code_deviation).clamp(-FAR, FAR)[None]
+        z = ((codes - self.code_mean) / self.code_deviation).clamp(-MAX_DEVIATION, MAX_DEVIATION)[None]
         for weight, bias in zip(self.code_weights, self.code_biases, strict=True):
             z = silu(torch.baddbmm(bias, z, weight))
         affine, modulation, shared = (
@@ -133,7 +133,7 @@ class UniversalNetwork(nn.Module):
         return self.centre + self.half_range * torch.tanh(y[..., self.columns])
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """The weights as `UniversalRetargeter` takes them, float32."""
+        """Returns the weights for `UniversalRetargeter`, in float32."""
 
         def array(tensor: torch.Tensor) -> np.ndarray:
             return tensor.detach().cpu().float().numpy()

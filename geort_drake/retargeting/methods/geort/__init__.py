@@ -21,9 +21,9 @@ def train_geort(
 ) -> TrainingResult:
     """Trains one network per finger; see `TrainedMethod.train`.
 
-    It needs `labels`. With `collides` the collision classifier also learns from the retargeter's own outputs
-    from time to time; without it the classifier is frozen. A finger that never pinches is named in a
-    RuntimeWarning.
+    The data must have `labels`. With `collides`, the collision classifier is refitted at intervals to the
+    retargeter's own outputs; without it, the classifier stays frozen. A RuntimeWarning names fingers that
+    never pinch.
     """
     from geort_drake.retargeting.methods.geort.training import train
 

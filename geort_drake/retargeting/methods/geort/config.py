@@ -19,17 +19,17 @@ class GeortConfig(TrainingConfig):
     targets: int = 512  # robot fingertips per finger and step, criterion II
     pinches: int = 96  # real frames with a pinch per step, criterion IV
     frames: int = 128  # real frames per step, criterion V
-    length_unit: float = 0.1  # m; the unit in which the weights below are meant
+    length_unit: float = 0.1  # m; unit of length of the weights below
     coverage_weight: float = 7.0  # λ1, 1/unit²
     flatness_weight: float = 3.0  # λ2, 1/unit²
     pinch_weight: float = 2.0  # λ3, 1/unit²
     collision_weight: float = 0.25  # λ4
     other_pinches: float = 0.2  # weight of a pinching pair that is not the frame's nearest
     fk: str = "exact"  # forward kinematics in training
-    resampling: str = "frames"  # hands of criteria IV and V: recorded frames, or fingers drawn independently
+    resampling: str = "frames"  # hands in criteria IV and V: recorded, or with independently drawn fingers
     classifier_steps: int = 2000  # gradient steps of the collision classifier
     kinematics_steps: int = 4000  # gradient steps of the neural forward kinematics
-    refreshes: int = 10  # how often the classifier learns from the retargeter's own outputs
+    refreshes: int = 10  # number of refits of the classifier to the retargeter's own outputs
 
     def validate(self) -> None:
         """Raises TrainingError for a number out of range, UnknownNameError for an unknown choice."""

@@ -1,4 +1,4 @@
-"""Trains `geort`; equal seeds give equal weights on one machine."""
+"""Trains `geort`; equal seeds give equal weights on the same machine."""
 
 import time
 from collections.abc import Sequence
@@ -21,8 +21,8 @@ from geort_drake.retargeting.training.pretraining import (
     refit_classifier,
 )
 
-STEP_SIGMA = 0.004  # m; d ~ N(0, σ²) per coordinate, criteria I and III
-ROBOT_VOXEL = 0.003  # m; thinning of the robot's clouds
+STEP_SIGMA = 0.004  # m; d ~ N(0, σ²) per coordinate in criteria I and III
+ROBOT_VOXEL = 0.003  # m; thins the robot's clouds
 REFRESH_STEPS = 200  # gradient steps of the classifier at each refresh
 REFRESH_SAMPLES = 3000  # real frames whose outputs are labelled at each refresh
 REFRESH_SIGMA = 0.08  # rad; spread of the samples around the retargeter's outputs
@@ -43,7 +43,7 @@ def train(
 
 
 class _Training:
-    """The state of one training."""
+    """The state of a training."""
 
     def __init__(
         self, data: TrainingData, labels: np.ndarray, config: GeortConfig, seed: int, device: torch.device
@@ -52,7 +52,7 @@ class _Training:
         self.config, self.kinematics, self.device = config, kinematics, device
         self.collides = data.collides
         self.unit = config.length_unit
-        # One stream for all draws, on the CPU so that it does not depend on the device.
+        # One generator for all draws, on the CPU so that they do not depend on the device.
         self.generator = torch.Generator().manual_seed(seed)
         self.timings: dict[str, float] = {}
         human = HumanData(data.p_HF, kinematics.finger_names)
@@ -112,14 +112,14 @@ class _Training:
         )
 
     def _losses(self) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """The weighted sum of the five criteria on one random batch, and each of them."""
+        """Computes the weighted sum of the five criteria on a random batch, and each of them."""
         config, unit = self.config, self.unit
         # Criteria I to III: points drawn uniformly from each finger's cloud, and steps around them.
         x = self._draw(self.human_clouds, config.points)
         d = STEP_SIGMA * torch.randn(x.shape, generator=self.generator).to(self.device)
         pinching, pinch_weights = self._pinches()
         hands = self._hands(config.frames)
-        # One pass through the networks for everything is faster than one per criterion.
+        # One pass through the networks is faster than one per criterion.
         n, k = config.points, len(pinching)
         q = self.network(torch.cat([x, x + d, x - d, pinching, hands]))
         p_BF = self.fingertips(q[: 3 * n + k]) / unit
@@ -142,7 +142,7 @@ class _Training:
         return total, row
 
     def _pinches(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Hands (N, F, 3) for criterion IV and the weights (N, P) of their pairs."""
+        """Draws hands (N, F, 3) for criterion IV; also returns the weights (N, P) of their pairs."""
         config = self.config
         if config.resampling == "independent":
             hands = self._hands(config.pinches)
@@ -151,7 +151,7 @@ class _Training:
         return self.frames[rows], self.pinch_weights[rows]
 
     def _hands(self, count: int) -> torch.Tensor:
-        """Hands (N, F, 3): recorded frames, or each finger drawn from its own cloud."""
+        """Draws hands (N, F, 3): recorded frames, or each finger from its own cloud."""
         if self.config.resampling == "independent":
             return self._draw(self.human_clouds, count)
         return self.frames[self._rows(self.all_rows, count)]
@@ -161,19 +161,19 @@ class _Training:
         return criteria.pinch_weights(hands, self.pairs, PINCH_M, config.other_pinches)
 
     def _refresh_classifier(self) -> None:
-        """Fits the classifier to the retargeter's current outputs and their surroundings as well."""
+        """Refits the classifier, also to the retargeter's current outputs and samples around them."""
         assert self.collides is not None  # otherwise there are no refreshes
         started = time.perf_counter()
         with torch.no_grad():
             q = self.network(self._hands(REFRESH_SAMPLES))
             if not torch.isfinite(q).all():
-                return  # the check of the loss, which comes next, stops the run
+                return  # the following check of the loss stops the run
             noise = torch.randn(q.shape, generator=self.generator).to(self.device)
             near = q + REFRESH_SIGMA * noise
             lower, upper = self._tensor(self.kinematics.lower), self._tensor(self.kinematics.upper)
             q = torch.cat([q, torch.clamp(near, lower, upper)])
         label = np.asarray(self.collides(q.cpu().numpy().astype(float)), dtype=float)
-        # Earlier labels stay in, so that the map cannot return to collisions unnoticed.
+        # Earlier labels are kept, so that the map cannot return to known collisions unnoticed.
         self.own = (torch.cat([self.own[0], q]), torch.cat([self.own[1], self._tensor(label)]))
         refit_classifier(self.classifier, self.uniform, self.own, self.generator, REFRESH_STEPS)
         self.timings["refresh_s"] = self.timings.get("refresh_s", 0.0) + time.perf_counter() - started
@@ -187,7 +187,7 @@ class _Training:
         return rows[torch.randint(len(rows), (count,), generator=self.generator)]
 
     def _draw(self, clouds: Sequence[torch.Tensor], count: int) -> torch.Tensor:
-        """(count, F, 3) points, drawn from each finger's cloud independently."""
+        """Draws points (count, F, 3) from each finger's cloud independently."""
         return torch.stack(
             [cloud[torch.randint(len(cloud), (count,), generator=self.generator)] for cloud in clouds], dim=1
         )
