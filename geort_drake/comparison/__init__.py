@@ -1,1 +1,1 @@
-"""Comparison of maps by metrics: training, held-out parts, report."""
+"""Compares maps by metrics: training, protocols with held-out parts, and reports."""

@@ -1,4 +1,4 @@
-"""How the universal map follows a person through a recording."""
+"""Measures how the universal map adapts to a person in the course of a recording."""
 
 from dataclasses import dataclass
 
@@ -16,14 +16,14 @@ from geort_drake.systems.person_following import PersonFollowing
 
 @dataclass(frozen=True)
 class Adaptation:
-    """The map of a person at K instants, for F fingers.
+    """The map of a person at the K frames, of T, in which it changes.
 
     Attributes:
-        q: (T, n) joint positions of a map that follows the person from the first of T hands on, rad.
-        rows: (K,) numbers of the hands with which the map changed.
-        human: K times (M, 3) the places that the fingertips visited until then, in H of a right hand, m.
-        robot: K times (M, 3) where the map of that instant puts the robot's fingertips there, in B, m.
-        finger: K times (M,) the fingers' numbers.
+        q: (T, n) joint positions of the map as it adapts from the first frame on, rad.
+        rows: (K,) numbers of the frames in which the map changes.
+        human: K arrays (M, 3) of the positions that fingertips visited until then, in H of a right hand, m.
+        robot: K arrays (M, 3) of the robot fingertips to which the map of then maps them, in B, m.
+        finger: K arrays (M,) of the fingers' numbers.
         coverage: (K,) fraction of the robot's C-space within 10 mm of `robot`.
     """
 
@@ -36,7 +36,7 @@ class Adaptation:
 
 
 def follow(universal: UniversalRetargeter, hand: HandModel, hands: Recording) -> Adaptation:
-    """Follows a person who is unknown at first, as `RetargetingSystem` does, through valid hands."""
+    """Follows an initially unknown person through valid frames, as `RetargetingSystem` does."""
     following, maps, angles = PersonFollowing.start(universal), {}, []
     for row, (time, p_HK) in enumerate(zip(hands.t, hands.p_HK.astype(float), strict=True)):
         before, following = following.now, following.seeing(p_HK, time)
@@ -48,11 +48,11 @@ def follow(universal: UniversalRetargeter, hand: HandModel, hands: Recording) ->
     reachable, canonical = robot_space(hand).reachable, fingertips_of(hand)
     human, robot, numbers, covered = [], [], [], []
     for row, retarget in maps.items():
-        visited = [some[some <= row] for some in places]
-        q_visited = [retarget(p_HF[some]) for some in visited]
+        visited = [frames[frames <= row] for frames in places]
+        q_visited = [retarget(p_HF[frames]) for frames in visited]
         tips = [canonical(q)[:, i] for i, q in enumerate(q_visited)]
-        human.append(np.concatenate([p_HF[some, i] for i, some in enumerate(visited)]))
+        human.append(np.concatenate([p_HF[frames, i] for i, frames in enumerate(visited)]))
         robot.append(np.concatenate([hand.fingertips(q)[:, i] for i, q in enumerate(q_visited)]))
-        numbers.append(np.repeat(np.arange(len(tips)), [len(some) for some in visited]))
+        numbers.append(np.repeat(np.arange(len(tips)), [len(frames) for frames in visited]))
         covered.append(coverage(reachable, tips)["10mm"])
     return Adaptation(np.array(angles), np.array(list(maps)), human, robot, numbers, np.array(covered))

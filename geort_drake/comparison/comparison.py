@@ -1,4 +1,4 @@
-"""Comparison of retargeting methods on one hand, with the same recordings, protocols and metrics."""
+"""Compares retargeting methods on one hand with the same recordings, protocols and metrics."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ from geort_drake.retargeting.methods import all_methods
 from geort_drake.retargeting.methods.online import VectorOnline
 from geort_drake.retargeting.retargeter import UniversalRetargeter
 
-# The first seconds of a recording, from which a universal map takes the person's code.
+# Length of the beginning of a recording from which a universal map computes the person's code.
 OBSERVED_S = 1.0
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Metrics of one method on one recording, and the fingertips they were computed from.
+    """Metrics of a method on a recording, and the fingertips from which they were computed.
 
     Attributes:
-        metrics: of `evaluate_frames`; JSON-ready.
+        metrics: metrics from `evaluate_frames`; JSON types only.
         remembers: whether outputs depend on earlier frames.
-        p_HF: (T, F, 3) human fingertips in H of the scored frames, m.
-        p_BF: (T, F, 3) robot fingertips in B, m.
+        p_HF: (T, F, 3) human fingertips of the scored frames in H, m.
+        p_BF: (T, F, 3) robot fingertips in B, m; mirrored for a left hand.
     """
 
     metrics: dict
@@ -42,7 +42,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Result of one case of a protocol with one seed: metrics, or the error that prevented them."""
+    """Result of a case of a protocol with one seed: metrics, or the error that prevented them."""
 
     case: Case
     seed: int
@@ -54,14 +54,14 @@ class Comparison:
     """Evaluates methods one by one under the same protocols.
 
     An online method gets the recorded frames in order, from rest. Metrics of hands that were not recorded use
-    its converged outputs, see `VectorOnline.settled_map`. A universal map gets the first second of the
-    person that it is scored on, and nothing else.
+    its stationary outputs; see `VectorOnline.settled_map`. A universal map gets only the first second of the
+    scored recording to learn the person.
 
     Args:
         hand: model of the robot hand.
-        protocols: what to train and evaluate on.
-        seeds: of training and metrics; everything is done with each of them.
-        frame_limit: evaluate only the first valid frames of each recording or block, at most this many.
+        protocols: protocols that define the training and scored recordings.
+        seeds: seeds of training and metrics; all cases run with each of them.
+        frame_limit: largest number of valid frames, from the first on, of each scored recording or block.
     """
 
     def __init__(
@@ -84,11 +84,11 @@ class Comparison:
         """Evaluates one method under every protocol.
 
         Args:
-            name: of a method, or the path of a checkpoint or map for this hand.
+            name: name of a method, or path of a checkpoint or map for this hand.
             starts: called with a description before each case.
 
         Returns:
-            Name of the protocol → outcomes. A failed case has an error as its outcome; the others continue.
+            Name of each protocol → outcomes. A failed case has an error; the others continue.
         """
         results: dict[str, list[Outcome]] = {}
         for protocol in self.protocols:
@@ -103,13 +103,13 @@ class Comparison:
         return results
 
     def summary(self, outcomes: Sequence[Outcome]) -> dict[str, dict | None]:
-        """Metrics of one method under one protocol, over its parts and seeds.
+        """Summarises the metrics of one method under one protocol over parts and seeds.
 
         Returns:
-            `mean`: over seeds, of the mean over parts, with pinch metrics over the frames of all parts
+            `mean`: mean over seeds of the means over parts; pinch metrics use the frames of all parts
                 together;
-            `worst_part`: each metric's worst value over parts and seeds;
-            `worst_seed`: each metric's worst value over the seeds' means. None if there is only one.
+            `worst_part`: each metric's worst value over parts and seeds, or None for a single part;
+            `worst_seed`: each metric's worst value over the seeds' means, or None for a single seed.
         """
         done = [outcome.evaluation for outcome in outcomes if outcome.evaluation]
         pooled = [
@@ -163,14 +163,14 @@ class Comparison:
         return retarget
 
     def space(self, seed: int) -> RobotSpace:
-        """The C-space of the hand."""
+        """Returns the C-space of the hand, sampled with this seed."""
         if seed not in self._spaces:
             self._spaces[seed] = robot_space(self.hand, seed)
         return self._spaces[seed]
 
 
 def _check_checkpoint(name: str, protocol: Protocol, case: Case) -> None:
-    """Raises CheckpointError unless a checkpoint's training fits the protocol."""
+    """Raises CheckpointError unless the training of a checkpoint fits the protocol."""
     if protocol.name == HELD_OUT:
         raise CheckpointError(
             f"{name}: a checkpoint cannot be trained without the block; name its method instead"

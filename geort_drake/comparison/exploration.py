@@ -1,4 +1,4 @@
-"""Outputs of retargeting methods for an excerpt of a recording, frame by frame."""
+"""Computes outputs of retargeting methods for each frame of an excerpt of a recording."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -12,17 +12,17 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import FINGER_NAMES, mirrored
 from geort_drake.people.recording import PINCH_M, Recording
 
-WINDOW = 0.1  # s; a motion extends this far before and after a frame
-MIN_MOTION = 0.003  # m; directions of shorter motions of a human fingertip are not compared
+WINDOW = 0.1  # s; motions are measured from this long before a frame to this long after it
+MIN_MOTION = 0.003  # m; directions of shorter motions of a human fingertip are ignored
 
 
 @dataclass(frozen=True)
 class Pinches:
-    """The thumb and the finger nearest to it, of T hands.
+    """The thumb and the finger nearest to it in T hands.
 
     Attributes:
         pair: (T, 2) numbers of the thumb and that finger.
-        distance: (T,) of the two human tips, m.
+        distance: (T,) distance between the two human tips, m.
     """
 
     pair: np.ndarray
@@ -30,30 +30,30 @@ class Pinches:
 
     @property
     def closed(self) -> np.ndarray:
-        """(T,) whether they pinch, as in `metrics.pinch`."""
+        """(T,) whether the pair pinches, as in `metrics.pinch`."""
         return self.distance < PINCH_M
 
     def of(self, tips: np.ndarray) -> np.ndarray:
-        """The two tips (T, 2, 3) of other fingertips (T, F, 3)."""
+        """Selects the tips (T, 2, 3) of these pairs from any fingertips (T, F, 3)."""
         return tips[np.arange(len(tips))[:, None], self.pair]
 
 
 @dataclass(frozen=True)
 class Response:
-    """Outputs of one method for an excerpt with T hands, for F fingers.
+    """Outputs of a method for an excerpt of T hands with F fingers.
 
     Attributes:
         q: (T, n) joint positions, rad.
-        p_BF: (T, F, 3) robot fingertips, m.
-        copy: (T, F, 3) the human fingertips, scaled and shifted per finger to fit `p_BF` in least squares, m.
+        p_BF: (T, F, 3) robot fingertips in B, m.
+        copy: (T, F, 3) human fingertips, scaled and shifted per finger to fit `p_BF` in least squares, m.
             Such a copy preserves every direction; the difference shows what the method gives up for reach,
             pinches and collision avoidance.
-        error: (T, F) distance between the two, m.
-        cosine: (T,) cosine of the angle between human and robot fingertip motion, averaged over the moving
+        error: (T, F) distances between `copy` and `p_BF`, m.
+        cosine: (T,) cosine of the angle between human and robot fingertip motions, averaged over the moving
             fingers; NaN if none moves.
-        gap: (T,) distance of the robot's fingertips that correspond to the person's nearest pair, m.
-        closed: (T,) whether these fingertips meet.
-        collisions: T times (k, 3) in B, where parts of the hand penetrate each other by over 2 mm, m.
+        gap: (T,) distance between the robot's fingertips that correspond to the person's nearest pair, m.
+        closed: (T,) whether these fingertips touch.
+        collisions: T arrays (k, 3) of points in B where parts of the hand overlap by over 2 mm, m.
     """
 
     q: np.ndarray
@@ -69,15 +69,15 @@ class Response:
 def excerpt(
     recording: Recording, rate_hz: float = 30.0, duration_s: float = 20.0, start_s: float | None = None
 ) -> Recording:
-    """Part of a recording, resampled to a constant rate; while tracking is lost, the last hand is repeated.
+    """Resamples a part of a recording to a constant rate; lost hands repeat the last tracked one.
 
     Times begin at 0; `start_s` in the metadata is the excerpt's start in the recording, s.
 
     Args:
-        start_s: start of the excerpt, s; None: where it contains most pinches.
+        start_s: start of the excerpt, s; by default the one that includes most pinches.
 
     Raises:
-        RecordingError: it begins after the recording's end, or contains fewer than two hands.
+        RecordingError: the excerpt begins outside the recording, or contains fewer than two hands.
     """
     tracked = recording.tracked()
     t = tracked.t - recording.t[0]
@@ -100,7 +100,7 @@ def excerpt(
 
 
 def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
-    """The pinches of human fingertips (T, F, 3), m."""
+    """Finds the pinches of human fingertips (T, F, 3), m."""
     thumb = list(finger_names).index("thumb")
     others = np.array([i for i in range(len(finger_names)) if i != thumb])
     distances = np.linalg.norm(tips[:, others] - tips[:, [thumb]], axis=-1)
@@ -110,14 +110,14 @@ def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
 
 
 def response(retarget: Callable, hand: HandModel, hands: Recording) -> Response:
-    """Outputs of a method for an excerpt.
+    """Computes the outputs of a method for an excerpt.
 
     Args:
-        retarget: from human fingertips (T, F, 3) of a canonical right hand, m, to joint positions (T, n).
+        retarget: maps human fingertips (T, F, 3) of a canonical right hand, m, to joint angles (T, n), rad.
     """
     human = hands.fingertips(hand.description.human_keypoints)
     q = np.asarray(retarget(human))
-    # For a left robot hand: recordings are mirrored to right hands.
+    # Recordings are stored as right hands, so they are mirrored for a left robot hand.
     if hand.description.side == "left":
         human = mirrored(human)
     p_BF = hand.fingertips(q)
@@ -137,7 +137,7 @@ def response(retarget: Callable, hand: HandModel, hands: Recording) -> Response:
 
 
 def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:
-    """(T, F, 3) human fingertips, scaled and shifted finger by finger to fit the robot's in least squares."""
+    """Scales and shifts human fingertips (T, F, 3) per finger to fit the robot's in least squares."""
     centred, target = human - human.mean(axis=0), robot - robot.mean(axis=0)
     spread = np.einsum("tfx,tfx->f", centred, centred)
     scale = np.einsum("tfx,tfx->f", centred, target) / np.maximum(spread, 1e-12)
@@ -145,7 +145,7 @@ def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:
 
 
 def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndarray:
-    """(T,) cosines between motions of fingertips (T, F, 3), from `window` hands before to as many after."""
+    """Computes mean cosines (T,) between motions of fingertips (T, F, 3) over ± `window` frames."""
     rows, window = np.arange(len(human)), max(window, 1)
     before, after = np.maximum(rows - window, 0), np.minimum(rows + window, len(human) - 1)
     d, robot_step = human[after] - human[before], robot[after] - robot[before]
@@ -157,7 +157,7 @@ def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndar
 
 
 def _collisions(hand: HandModel, q: np.ndarray) -> list[np.ndarray]:
-    """The `collisions` of `Response`; two fingertips may touch, as in `metrics.self_collision`."""
+    """Computes `Response.collisions`; as in `metrics.self_collision`, two fingertips may touch."""
     context = hand.contact_context()
     found = []
     for row in q:

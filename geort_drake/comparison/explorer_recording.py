@@ -1,4 +1,4 @@
-"""The retargeting explorer: a Rerun recording of a hand and of each method's outputs, side by side."""
+"""Writes the retargeting explorer: a Rerun recording of a hand next to each method's robot hand."""
 
 import itertools
 import os
@@ -18,14 +18,14 @@ from geort_drake.rerun.scene import write_robot_hand
 from geort_drake.rerun.streams import Property, file_writer
 from geort_drake.rerun.writer import CAGE, SOLID, WORLD, Writer, entity_path
 
-_RIGHT, _WRONG = (90, 255, 120), (255, 50, 50)  # no finger has these colours
+_CLOSED_COLOR, _FAULT_COLOR = (90, 255, 120), (255, 50, 50)  # no finger has these colours
 APPLICATION = "geort_drake_explorer"
 _SPACING = 0.26  # m, between neighbouring hands
 _LABEL_HEIGHT = 0.235  # m
-_HUMAN_TIP = 0.0085  # m, radius
-_PLACE = 0.0012  # m, radius
+_HUMAN_TIP_RADIUS = 0.0085  # m
+_DOT_RADIUS = 0.0012  # m
 _PINCH_LANE = "asked_pinch"
-# Of the methods in the plots; no finger or mark has them.
+# Colours of the methods in the plots; no finger or mark has them.
 _COLORS: tuple[Color, ...] = ((240, 228, 66), (178, 132, 255), (213, 94, 0), (0, 220, 200), (190, 190, 190))
 _COPY_COLOR = (235, 235, 235)
 _IDLE: Color = (58, 62, 71)
@@ -33,11 +33,11 @@ _STATES = ("–", "closed", "open", "collides")
 _STATE_COLORS: tuple[Color, ...] = (_IDLE, (44, 160, 44), (230, 120, 20), (214, 39, 40))
 
 _ADAPTATION = """\
-- **Small dots**: places that the fingertips have visited, and where {names} puts the robot's fingertips
-  there. The map learns the person's reach from them, so the robot's dots spread as well.
+- **Small dots**: positions that the fingertips have visited, and those to which {names} maps them. The map
+  learns the person's reach from them, so the robot's dots spread as well.
 """
 _TEXT = """\
-Left: the **recorded hand**. Beside it: the robot hand with each method, which gets the fingertips only.
+Left: the **recorded hand**. Next to it: the robot hand with each method, which gets only the fingertips.
 
 | in these {seconds:.0f} s | {headings} |
 |---|{rule}
@@ -60,14 +60,14 @@ def write_exploration(
     properties: Mapping[str, Property],
     adaptations: Mapping[str, Adaptation] | None = None,
 ) -> None:
-    """Writes the recording.
+    """Writes the explorer's recording.
 
     Args:
-        path: .rrd to write.
-        hands: of the person, an `excerpt`.
-        methods: name of a method → its outputs.
-        properties: of the recording.
-        adaptations: name of a universal map among the methods → how it followed the person.
+        path: .rrd file to write.
+        hands: `excerpt` of the person's recording.
+        methods: name of each method → its outputs.
+        properties: properties of the recording.
+        adaptations: name of each universal map among the methods → its adaptation to the person.
     """
     p_HK = hands.p_HK.astype(float)
     p_HK = mirrored(p_HK) if hand.description.side == "left" else p_HK
@@ -87,7 +87,7 @@ def write_exploration(
             zip(itertools.cycle(_COLORS), methods.items(), strict=False), start=1
         ):
             hand_path = entity_path(WORLD, name)
-            # Wrists are side by side.
+            # All wrists are at the same height.
             X_WB = RigidTransform([0.0, _SPACING * number, -hand.p_BW[2]])
             write_robot_hand(writer, hand_path, hand, response.q, X_WB)
             writer.label(f"{hand_path}/name", name, color, (0.0, 0.0, _LABEL_HEIGHT))
@@ -108,8 +108,8 @@ def _write_adaptation(writer: Writer, name: str, hand: HandModel, adaptation: Ad
     palette = np.array(finger_colors(hand.finger_names))
     colors = [palette[finger] for finger in adaptation.finger]
     human = [mirrored(p) if hand.description.side == "left" else p for p in adaptation.human]
-    writer.points(entity_path(WORLD, "human", "places"), human, _PLACE, colors)
-    writer.points(entity_path(WORLD, name, "places"), adaptation.robot, _PLACE, colors)
+    writer.points(entity_path(WORLD, "human", "places"), human, _DOT_RADIUS, colors)
+    writer.points(entity_path(WORLD, name, "places"), adaptation.robot, _DOT_RADIUS, colors)
     writer.series(entity_path("coverage", name), [name], adaptation.coverage[:, None], [_COPY_COLOR])
 
 
@@ -119,26 +119,26 @@ def _write_human(
     path = entity_path(WORLD, "human")
     writer.human_hand(path, p_HK, SKIN)
     colors = [np.array(finger_colors(hand.finger_names))] * len(tips)
-    writer.points(f"{path}/tips", list(tips), _HUMAN_TIP, colors, SOLID)
-    _write_pinches(writer, path, tips, pinches, np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP)
+    writer.points(f"{path}/tips", list(tips), _HUMAN_TIP_RADIUS, colors, SOLID)
+    _write_pinches(writer, path, tips, pinches, np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP_RADIUS)
     writer.label(f"{path}/name", "recorded hand", SKIN, (0.0, 0.0, _LABEL_HEIGHT))
     writer.series("/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
 
 
 def _write_marks(writer: Writer, path: str, hand: HandModel, response: Response, pinches: Pinches) -> None:
-    radius = 1.1 * hand.tip_radius  # covers the model's own tip
-    of_fingers = [np.array(finger_colors(hand.finger_names))] * len(response.q)
-    writer.points(f"{path}/tips", list(response.p_BF), radius, of_fingers, SOLID)
+    radius = 1.1 * hand.tip_radius  # covers the model's tip
+    tip_colors = [np.array(finger_colors(hand.finger_names))] * len(response.q)
+    writer.points(f"{path}/tips", list(response.p_BF), radius, tip_colors, SOLID)
     writer.points(f"{path}/copy", list(response.copy), 1.1 * radius, _COPY_COLOR, CAGE)
-    colors = np.where(response.closed[:, None], _RIGHT, _WRONG)
+    colors = np.where(response.closed[:, None], _CLOSED_COLOR, _FAULT_COLOR)
     _write_pinches(writer, path, response.p_BF, pinches, colors, 2.2 * radius)
-    writer.points(f"{path}/collisions", response.collisions, 0.014, _WRONG, SOLID)
+    writer.points(f"{path}/collisions", response.collisions, 0.014, _FAULT_COLOR, SOLID)
 
 
 def _write_pinches(
     writer: Writer, path: str, tips: np.ndarray, pinches: Pinches, colors: np.ndarray, radius: float
 ) -> None:
-    """Sends a cage between the tips that should meet, in colours (T, 3)."""
+    """Draws a cage of colours (T, 3) around the midpoint of the tips that should meet."""
     middle, pinched = pinches.of(tips).mean(axis=1), pinches.closed.astype(int)
     rows = [point[None][:count] for point, count in zip(middle, pinched, strict=True)]
     shades = [color[None][:count] for color, count in zip(colors, pinched, strict=True)]
@@ -149,9 +149,9 @@ def _write_lanes(writer: Writer, hand: HandModel, methods: Mapping[str, Response
     codes = np.where(pinches.closed, 1.0 + pinches.pair[:, 1], 0.0)
     labels = ("–", *hand.finger_names)
     writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand.finger_names)])
-    for name, of_method in methods.items():
-        collides = np.array([len(points) > 0 for points in of_method.collisions])
-        pinch = np.where(of_method.closed, 1.0, 2.0)
+    for name, response in methods.items():
+        collides = np.array([len(points) > 0 for points in response.collisions])
+        pinch = np.where(response.closed, 1.0, 2.0)
         codes = np.where(collides, 3.0, np.where(pinches.closed, pinch, 0.0))
         writer.states(entity_path(name), codes, _STATES, _STATE_COLORS)
 

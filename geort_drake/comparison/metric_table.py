@@ -7,13 +7,13 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class Metric:
-    """One metric.
+    """A metric.
 
     Attributes:
         path: keys to its value in the dictionary of metrics, joined by dots.
-        heading: of its column; empty if it is in no table.
+        heading: heading of its column; empty if it is in no table.
         form: format of its value.
-        better: which values are better; None: neither, and there is no worst value.
+        better: whether higher or lower values are better; None if neither, so there is no worst value.
     """
 
     path: str
@@ -22,7 +22,7 @@ class Metric:
     better: Literal["higher", "lower"] | None = None
 
     def of(self, metrics: Mapping) -> float | None:
-        """The value in a dictionary of metrics; None if it or a parent is None."""
+        """Returns the value in a dictionary of metrics; None if the value or a parent is None."""
         value: Any = metrics
         for key in self.path.split("."):
             if value is None:
@@ -31,19 +31,19 @@ class Metric:
         return value
 
     def text(self, metrics: Mapping) -> str:
-        """The value as the cell of a table."""
+        """Formats the value as the cell of a table."""
         value = self.of(metrics)
         return "–" if value is None else self.form.format(value)
 
     def worst(self, values: Iterable[float | None]) -> float | None:
-        """The worst of several values; None if there is none."""
+        """Returns the worst of several values; None if there is none."""
         known = [value for value in values if value is not None]
         if self.better is None or not known:
             return None
         return min(known) if self.better == "higher" else max(known)
 
 
-# Title of a table → its columns. A table fits a terminal of 80 characters.
+# Title of each table → its columns. Every table fits a terminal of 80 characters.
 TABLES: dict[str, tuple[Metric, ...]] = {
     "motion": (
         Metric("motion_preservation", "MP", "{:.3f}", "higher"),
@@ -87,7 +87,7 @@ METRICS: tuple[Metric, ...] = (
 
 
 def mean(metrics: Sequence[Mapping]) -> dict:
-    """The mean of every metric over the dictionaries that have it, nested like them."""
+    """Returns the mean of each metric over the dictionaries that have it, nested like them."""
     values: dict[str, float | None] = {}
     for metric in METRICS:
         known = [value for value in map(metric.of, metrics) if value is not None]
@@ -96,7 +96,7 @@ def mean(metrics: Sequence[Mapping]) -> dict:
 
 
 def worst(metrics: Sequence[Mapping]) -> dict:
-    """The worst value of every metric, nested like the dictionaries."""
+    """Returns the worst value of each metric, nested like the dictionaries."""
     return _nested({metric.path: metric.worst(map(metric.of, metrics)) for metric in METRICS})
 
 
@@ -104,8 +104,8 @@ def _nested(values: Mapping[str, float | None]) -> dict:
     result: dict = {}
     for path, value in values.items():
         *folders, name = path.split(".")
-        place = result
+        node = result
         for folder in folders:
-            place = place.setdefault(folder, {})
-        place[name] = value
+            node = node.setdefault(folder, {})
+        node[name] = value
     return result

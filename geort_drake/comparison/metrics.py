@@ -1,7 +1,7 @@
 """Metrics of a retargeter: motion, coverage, flatness, pinches, self-collision, smoothness, latency.
 
 All metrics use the robot's exact kinematics and are means over fingers. g = FK∘f maps human fingertips
-(N, F, 3) in H to robot fingertips (N, F, 3) in B, in metres. Random numbers come from a NumPy Generator.
+(N, F, 3) in H to robot fingertips (N, F, 3) in B, m. Random numbers come from a NumPy Generator.
 """
 
 import time
@@ -33,10 +33,10 @@ from geort_drake.retargeting.training.map_figures import (
 )
 
 MIN_FRAMES = 10
-SMALL_STEP = 0.002  # m, at which flatness and gain are measured
-MIN_GAIN = 1e-6  # smaller gains are rounding errors: the finger does not respond
+SMALL_STEP = 0.002  # m, step at which flatness and gain are measured
+MIN_GAIN = 1e-6  # smaller gains are rounding errors of a finger that does not respond
 APART_DISTANCE = 0.030  # m; human fingertips farther apart are not meant to pinch
-DEEP_PINCH_DISTANCE = 0.004  # m; robot fingertips nearer than this press into each other
+DEEP_PINCH_DISTANCE = 0.004  # m; robot fingertips closer than this press into each other
 PENETRATION = 0.002  # m; deeper penetrations count as self-collision
 
 
@@ -45,8 +45,8 @@ class RobotSpace:
     """The robot's C-space: the reach of its fingertips, from uniform samples of the joint angles.
 
     Attributes:
-        p_BF: (N, F, 3) fingertips of all samples, m; mirrored for a left hand, as people are right hands.
-        reachable: F arrays (M, 3), centres of the 3 mm voxels that samples hit, m.
+        p_BF: (N, F, 3) fingertips of all samples, m; mirrored for a left hand, as human hands are right.
+        reachable: F arrays (M, 3) of the centres of the 3 mm voxels that samples hit, m.
     """
 
     p_BF: np.ndarray
@@ -54,20 +54,20 @@ class RobotSpace:
 
 
 def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
-    """Samples the C-space of a hand; all methods share it."""
+    """Samples the C-space of a hand, which does not depend on the method."""
     q = hand.sample(ROBOT_SAMPLES, seed)
     p_BF = fingertips_of(hand)(q)
     return RobotSpace(p_BF, robot_voxels(p_BF))
 
 
 def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: int = 0) -> dict:
-    """Computes all metrics of a retargeter on one recording, as a JSON-ready dictionary.
+    """Computes all metrics of a retargeter on one recording, as a dictionary of JSON types.
 
     Args:
         retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles in rad.
         hand: model of the robot hand, with the retargeter's fingers.
-        recording: of the person's hand.
-        seed: of the anchors, directions and robot samples.
+        recording: recording of the person's hand.
+        seed: seed of the anchors, directions and robot samples.
 
     Raises:
         RecordingError: the recording has too few frames.
@@ -85,14 +85,17 @@ def evaluate_frames(
     space: RobotSpace | None = None,
     settled: Callable | None = None,
 ) -> tuple[dict, np.ndarray]:
-    """`evaluate` for human fingertips (T, F, 3), m, of successive frames at `rate_hz`.
+    """Computes the metrics of `evaluate` from successive fingertips `frames` (T, F, 3), m, at `rate_hz`.
 
     A retargeter with memory gets `frames` in order, as a batch. Metrics of hands that were not recorded
     (random motion, cross-talk, flatness, gain and the context average) use `settled`, a map without memory,
     if given. Without `space` the coverages are None.
 
     Returns:
-        The metrics, and the robot's fingertips (T, F, 3) in B, m.
+        The metrics, and the robot's fingertips (T, F, 3) in B, m, mirrored for a left hand.
+
+    Raises:
+        RecordingError: there are too few frames.
     """
     if len(frames) < MIN_FRAMES:
         raise RecordingError(
@@ -131,16 +134,17 @@ def evaluate_frames(
 
 
 def fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
-    """From joint angles (N, n), rad, to fingertips (N, F, 3), m; mirrored for a left hand."""
+    """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m, mirrored for a left hand."""
     kinematics = canonical_kinematics(hand)
     return lambda q: kinematics.fingertips(torch.from_numpy(q)).numpy()
 
 
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
-    """Per finger, robot fingertips averaged over postures of the other fingers: (M, 3) in B, m.
+    """Computes for each finger the robot's tips averaged over postures of the other fingers: (M, 3) in B, m.
 
-    Each visited 1 mm voxel of a human fingertip is combined with the other fingertips of the recorded frames
-    in which it was nearest. This averages out what a coupled map reaches only through the other fingers.
+    One position per visited 1 mm voxel of a human fingertip is combined with the other fingertips of the
+    frames in which the tip was nearest. This averages out positions that a coupled map reaches only through
+    the other fingers.
     """
     count = min(contexts, len(frames))
     result = []
@@ -156,9 +160,9 @@ def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) ->
 def flatness_and_gain(
     g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 2000
 ) -> tuple[float, np.ndarray]:
-    """Mean squared second over first difference, and the gain of every step (F, anchors), at 2 mm.
+    """Returns the mean squared second over first differences, and the gains (F, anchors), for 2 mm steps.
 
-    The gain is the motion of a robot fingertip per motion of the human one.
+    The gain is the motion of a robot fingertip over that of the human fingertip.
     """
     flats, gains = [], []
     for finger in range(frames.shape[1]):
@@ -174,9 +178,9 @@ def flatness_and_gain(
 
 
 def gain_ratio(gains: np.ndarray) -> float | None:
-    """95th over 5th percentile of the gain (F, anchors), averaged over fingers.
+    """Returns the 95th over the 5th percentile of the gains (F, anchors), averaged over fingers.
 
-    None if a finger does not respond to a twentieth of the steps.
+    Returns None if a finger does not respond to a twentieth of the steps.
     """
     low, high = np.percentile(gains, (5, 95), axis=1)
     return float((high / low).mean()) if low.min() > MIN_GAIN else None
@@ -185,17 +189,17 @@ def gain_ratio(gains: np.ndarray) -> float | None:
 def pinch(
     frames: np.ndarray, p_BF: np.ndarray, finger_names: Sequence[str], tip_radius: float
 ) -> dict | None:
-    """How well the robot's pinches reproduce the person's; None for a hand without a thumb.
+    """Measures how well the robot's pinches reproduce the person's; None without a thumb or another finger.
 
-    `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` refer to the nearest thumb–finger pair of frames in
-    which it is under 15 mm apart (None without such frames), `all_pairs` to all such pairs. `false` is the
-    fraction of pairs over 30 mm apart whose robot fingertips touch: centres at most two tip radii apart.
+    `closed`, `too_deep`, `mean_mm`, `p95_mm` and `frames` refer to a frame's nearest thumb–finger pair if it
+    is under 15 mm apart (None without such frames), `all_pairs` to all pairs under 15 mm apart. `false` is
+    the fraction of pairs over 30 mm apart whose robot fingertips touch, with centres within two tip radii.
 
     Args:
         frames: (T, F, 3) human fingertips, m.
         p_BF: (T, F, 3) robot fingertips, m.
-        finger_names: F names.
-        tip_radius: of the robot's fingertips, m.
+        finger_names: names of the F fingers.
+        tip_radius: radius of the robot's fingertips, m.
     """
     if "thumb" not in finger_names or len(finger_names) == 1:
         return None
@@ -223,9 +227,9 @@ def pinch(
 
 
 def self_collision(hand: HandModel, q: np.ndarray) -> dict[str, float]:
-    """Fractions of joint angles (T, n) that collide.
+    """Returns the fractions of joint angles (T, n), rad, at which the hand collides.
 
-    `deep` counts penetrations over 2 mm except between two fingertips, `any` every contact.
+    `deep` counts penetrations over 2 mm except between fingertips, `any` counts every contact.
     """
     touching = np.asarray(hand.collides(q), dtype=bool)
     deep = [
@@ -236,7 +240,7 @@ def self_collision(hand: HandModel, q: np.ndarray) -> dict[str, float]:
 
 
 def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:
-    """Step of the joint vector per frame, |Δq| in rad, and mean jerk |Δ³q| · rate³ in rad/s³."""
+    """Computes steps |Δq| per frame of the joint vector, rad, and the mean jerk |Δ³q| · rate³, rad/s³."""
     step = np.linalg.norm(np.diff(q, axis=0), axis=1)
     jerk = np.linalg.norm(np.diff(q, n=3, axis=0), axis=1) * rate_hz**3
     return {
@@ -248,7 +252,7 @@ def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:
 
 
 def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.ndarray:
-    """Wall time (calls,) of calls with one frame each, after a warm-up, s."""
+    """Measures the wall times (calls,), s, of calls with one frame each, after a warm-up."""
     for frame in frames[:50]:
         retarget(frame)
     times = np.empty(calls)
@@ -261,5 +265,5 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
 
 
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
-    """retarget(p_HF) in chunks, because hidden layers of a long recording would fill the memory."""
+    """Evaluates retarget(p_HF) in chunks; hidden layers of a long recording would fill the memory."""
     return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])

@@ -30,19 +30,19 @@ def pretrain(
 ) -> dict[str, float]:
     """Trains the universal map of a hand and writes it to a file; see `MapFile`.
 
-    The map is also for the hand's mirror image, where there is one whose name has the other side.
+    The map also serves the hand's mirror image, if there is one whose name has the other side.
 
     Args:
-        description: of the robot hand.
-        output: the file.
-        config: settings.
+        description: the robot hand.
+        output: path of the file.
+        config: settings of the training.
         people: number of people in the population.
-        seed: of the population and the training.
+        seed: seed of the population and the training.
         device: "cpu" or "cuda".
         show_progress: draw progress bars on stderr.
 
     Returns:
-        The figures at the end of the training; see `UniversalTraining`.
+        The final figures of the training; see `UniversalTraining`.
 
     Raises:
         HandError, TrainingError: the hand or a setting is unusable.
@@ -79,7 +79,7 @@ def pretrain(
 
 
 def _mirror_image(hand: HandModel) -> dict[str, str]:
-    """Name and digest of the hand's mirror image; empty if there is none."""
+    """Returns name → digest of the hand's mirror image; empty if there is none."""
     side = hand.description.side
     try:
         other = HandModel(load_hand(hand.description.name.replace(side, _MIRRORED[side])))

@@ -1,4 +1,4 @@
-"""Protocols of a comparison: the frames a method is trained on and those it is evaluated on."""
+"""Protocols of a comparison: the frames for the training of a method and those for its evaluation."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -10,13 +10,13 @@ from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording
 
 SAME_PERSON, HELD_OUT, OTHER_PERSON = "same_person", "held_out", "other_person"
-# Successive frames are similar, so frames this near to a held-out block are not used for training, s.
+# Successive frames are similar, so frames this close to a held-out block are not used for training, s.
 GUARD_S = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """One training and the recording it is evaluated on."""
+    """A training recording and the recording for the evaluation."""
 
     part: str  # name of the file or block
     trained_on: Recording
@@ -29,9 +29,9 @@ class Protocol:
 
     Attributes:
         name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
-        title: in tables.
-        meaning: of its metrics, and which are left out.
-        cases: one per part.
+        title: title in tables.
+        meaning: meaning of its metrics, and which are left out.
+        cases: one case per part.
         with_coverage: whether coverage of the robot's C-space is meaningful.
     """
 
@@ -43,7 +43,7 @@ class Protocol:
 
 
 def same_person(recording: Recording, name: str) -> Protocol:
-    """Trained and evaluated on the same recording, as in the paper."""
+    """Makes the protocol that trains and evaluates on the same recording, as in the paper."""
     return Protocol(
         SAME_PERSON,
         "same person, training recording",
@@ -53,13 +53,13 @@ def same_person(recording: Recording, name: str) -> Protocol:
 
 
 def held_out(recording: Recording, blocks: int) -> Protocol:
-    """Evaluated on each of `blocks` contiguous parts of the valid frames, trained on the others.
+    """Makes the protocol that evaluates on each of `blocks` contiguous parts and trains on the others.
 
-    Frames of the block, and those less than GUARD_S before or after it, are invalid in the training
-    recording.
+    The parts divide the valid frames. Frames of the block, and those up to GUARD_S before or after it, are
+    invalid in the training recording.
 
     Raises:
-        RecordingError: fewer than two blocks, or blocks too short to measure on.
+        RecordingError: there are fewer than two blocks, or blocks are too short for the metrics.
     """
     frames = np.flatnonzero(recording.valid)
     most = len(frames) // MIN_FRAMES
@@ -92,17 +92,17 @@ def held_out(recording: Recording, blocks: int) -> Protocol:
 
 
 def other_person(recording: Recording, others: Mapping[str, Recording]) -> Protocol:
-    """Trained on one recording, evaluated on others: name → recording.
+    """Makes the protocol that trains on one recording and evaluates on others, name → recording.
 
     Raises:
         RecordingError: one of the others is the training recording.
     """
     for name, other in others.items():
         if other.digest == recording.digest:
-            raise RecordingError(f"{name}: is the recording that methods are trained on; give another one")
+            raise RecordingError(f"{name}: this is the training recording; give another one")
     return Protocol(
         OTHER_PERSON,
         "another person",
-        "trained on one person's recording, scored on another's as it is, without any calibration",
+        "trained on one person's recording, scored on another's without any calibration",
         tuple(Case(name, recording, other) for name, other in others.items()),
     )

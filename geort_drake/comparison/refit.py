@@ -31,19 +31,19 @@ def refit_checkpoint(
 
     Args:
         recording: one to five minutes of the person's hand, or its file.
-        output: the checkpoint's directory.
+        output: path of the checkpoint directory.
         hand_name: name or file of the robot hand's description.
-        map_file: the universal map; None takes the one that is shipped for the hand.
-        steps: of the training; None takes those of `refit_steps`.
-        seed: of the training and the metrics.
+        map_file: file of the universal map; by default the one that is shipped for the hand.
+        steps: number of training steps; by default that of `refit_steps`.
+        seed: seed of the training and the metrics.
         show_progress: draw progress bars on stderr.
 
     Returns:
-        The checkpoint's directory.
+        The checkpoint directory.
 
     Raises:
-        CheckpointError: the map is damaged, or of another hand; there is none for the hand; or `output` is
-            something else than a checkpoint.
+        CheckpointError: the map is damaged or for another hand, or there is none for the hand; or `output`
+            exists and is not a checkpoint.
         HandError, RecordingError, TrainingError: the hand or the recording is unsuitable.
     """
     description = load_hand(hand_name)

@@ -1,4 +1,4 @@
-"""Results of a comparison: tables for the terminal, and a dictionary for JSON."""
+"""Reports the results of a comparison as tables for the terminal and as a dictionary for JSON."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -15,20 +15,20 @@ from geort_drake.comparison.metric_table import METRICS, TABLES, Metric, mean
 from geort_drake.people.recording import Recording
 from geort_drake.versions import versions
 
-# Name of a method → name of a protocol → outcomes.
+# Name of each method → name of each protocol → outcomes.
 Results = Mapping[str, Mapping[str, Sequence[Outcome]]]
 
 FORMAT = 3  # incremented when keys change
 
 
 def report(comparison: Comparison, results: Results, recording: Recording, name: str) -> dict:
-    """All results, JSON-ready; docs/reference/comparison-file.md describes them.
+    """Returns all results as JSON types; docs/reference/comparison-file.md describes them.
 
     Args:
-        comparison: that produced them.
-        results: of all methods, or of those finished so far.
-        recording: of the training.
-        name: of the recording's file.
+        comparison: the comparison that produced them.
+        results: results of all methods, or of those finished so far.
+        recording: the training recording.
+        name: name of the recording's file.
     """
     hand = comparison.hand
     return {
@@ -74,7 +74,7 @@ def _outcome(outcome: Outcome) -> dict:
 
 
 def tables(comparison: Comparison, results: Results) -> Iterator[Group]:
-    """The protocols, each with its meaning and a few tables with methods as rows.
+    """Yields for each protocol its meaning and a few tables with methods as rows.
 
     The first row of a method is its mean; the worst part and the worst seed follow, if there are several. If
     cases failed, the row states how many succeeded. Empty columns are left out.
@@ -115,7 +115,7 @@ def _rows(comparison: Comparison, label: str, outcomes: Sequence[Outcome]) -> It
 
 
 def failures(results: Results) -> Iterator[str]:
-    """A line for each case that failed: method, part, seed and error."""
+    """Yields a line for each failed case: method, part, seed and error."""
     for method, of_method in results.items():
         for outcomes in of_method.values():
             for outcome in outcomes:

@@ -1,4 +1,4 @@
-"""Retargeters by the name of a method, the directory of a checkpoint, or the file of a map."""
+"""Finds retargeters by the name of a method or the path of a checkpoint or map."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,28 +20,28 @@ from geort_drake.retargeting.methods import (
 )
 from geort_drake.retargeting.retargeter import load_retargeter, shipped_map
 
-PYTHON_SUFFIX = ".py"  # suffix of a user's own method, for the grasp benchmark
+PYTHON_SUFFIX = ".py"  # of a user's own method in the grasp benchmark
 
 
 def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None = None) -> dict[str, str]:
-    """Name → method, without duplicates; a checkpoint, map or Python file is named after its path.
+    """Returns name → method without duplicates; checkpoints, maps and Python files are named by their paths.
 
-    A method that is trained several times has a name for each training: geort, geort~1, geort~2.
+    A method that is trained several times has a name for each training: geort, geort~1, geort~2. Python files
+    are methods only without `hand`, whose checkpoints and maps are checked.
 
     Raises:
-        UnknownNameError: neither a method nor a checkpoint nor a map; or, without `hand`, a Python file.
-        MethodError: there is no such Python file.
-        BenchmarkError: two different ones have the same name.
-        CheckpointError: where `hand` is given: a checkpoint or map is damaged or for another hand, or no map
-            is shipped for it.
+        UnknownNameError: an entry is neither a method nor a checkpoint, a map or a permitted Python file.
+        MethodError: a Python file is missing.
+        BenchmarkError: two different entries have the same name.
+        CheckpointError: a checkpoint or map is damaged or for another hand, or no map is shipped for `hand`.
     """
     names: dict[str, str] = {}
     for given in methods:
         path, is_method = Path(given).resolve(), given in all_methods()
-        own = path.suffix == PYTHON_SUFFIX and hand is None
-        if own and not path.is_file():
+        is_python = path.suffix == PYTHON_SUFFIX and hand is None
+        if is_python and not path.is_file():
             raise MethodError(f"{given}: no such file; it must define make(hand)")
-        if not (own or is_method or (path / CONFIG).is_file() or path.suffix == SUFFIX):
+        if not (is_python or is_method or (path / CONFIG).is_file() or path.suffix == SUFFIX):
             raise UnknownNameError("retargeting method or checkpoint", given, all_methods())
         if hand is not None and not is_method:
             load_retargeter(path, hand)
@@ -60,13 +60,13 @@ def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None 
 def retargeter_of(
     method: str, hand: HandModel, recording: Recording, seed: int, device: str = "cpu"
 ) -> tuple[Retarget, Path | None]:
-    """A retargeter and its checkpoint or map; None if the method has none.
+    """Returns a retargeter and the path of its checkpoint or map, None for an untrained method.
 
     Args:
-        method: name of a method, or the path of a checkpoint or map.
+        method: name of a method, or path of a checkpoint or map.
         recording: training data, or the frames that an untrained method uses.
-        seed: of the training, or of an untrained method's random samples.
-        device: "cpu" or "cuda", where to train.
+        seed: seed of the training, or of an untrained method's random samples.
+        device: "cpu" or "cuda", for the training.
     """
     if method in untrained_methods():
         keypoints, kinematics = hand.description.human_keypoints, canonical_kinematics(hand)

@@ -1,4 +1,4 @@
-"""Trains on a recording and writes an evaluated checkpoint, which a cache can keep."""
+"""Trains a retargeter on a recording and writes an evaluated checkpoint, optionally to a cache."""
 
 import contextlib
 import dataclasses
@@ -42,10 +42,10 @@ from geort_drake.versions import git_state, versions
 
 
 def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
-    """The configuration of a method: its defaults, except for `settings`.
+    """Returns the configuration of a method: its defaults, overridden by `settings`.
 
     Raises:
-        UnknownNameError: no such method or setting; the message lists the known ones.
+        UnknownNameError: there is no such method or setting; the message lists the known ones.
         TrainingError: a value is invalid.
     """
     kind = trained_method(method).config
@@ -73,21 +73,21 @@ def train_checkpoint(
 
     Args:
         hand_name: a hand description, or its name or file.
-        recording: of the person's hand, or its file; None synthesises five minutes of play.
-        output: the checkpoint directory, written at the end.
+        recording: recording of the person's hand, or its file; None synthesises five minutes of play.
+        output: path of the checkpoint directory, written at the end.
         method: name of the retargeting method.
-        seed: of robot samples, synthetic play, training and metrics.
+        seed: seed of robot samples, synthetic play, training and metrics.
         device: "cpu" or "cuda".
         show_progress: draw progress bars on stderr.
         settings: fields of the method's config that differ from its defaults.
         robot_samples: number of sampled joint positions of the robot.
         report: see `Report`.
-        start: of a training by `geort_coupled`; None starts from random weights.
-        provenance: more entries of the checkpoint's provenance.
+        start: start of a training by `geort_coupled`; None starts from random weights.
+        provenance: additional entries of the checkpoint's provenance.
 
     Returns:
-        The checkpoint directory. Warnings about the recording and the training are in its provenance under
-        "warnings", and are issued as RuntimeWarning at the end.
+        The checkpoint directory. Its provenance has warnings about the recording and the training under
+        "warnings"; they are also issued as RuntimeWarning at the end.
 
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: an argument is unusable.
@@ -178,20 +178,20 @@ def cached_checkpoint(
     device: str = "cpu",
     settings: Mapping | None = None,
 ) -> Path:
-    """The checkpoint for a hand and a recording from the cache, trained first if it is not there.
+    """Returns the cached checkpoint for a hand and a recording; trains it first if it is missing or damaged.
 
     The key covers the hand's model and description, the recording, method, seed, device, settings, and the
-    code of `retargeting` and `hands`. A damaged checkpoint is trained again. A line on stderr announces a
-    training. Warnings of training are repeated at every use.
+    code of `retargeting` and `hands`. A line on stderr announces a training. Warnings of the training are
+    repeated at every use.
 
     Args:
         hand_name, recording, method, seed, device, settings: as in `train_checkpoint`.
 
     Returns:
-        The checkpoint's directory in `cache_dir() / "retargeters"`.
+        The checkpoint directory in `cache_dir() / "retargeters"`.
 
     Raises:
-        HandError, RecordingError, TrainingError, UnknownNameError: see `train_checkpoint`.
+        HandError, RecordingError, TrainingError, UnknownNameError: as in `train_checkpoint`.
     """
     hand = HandModel(load_hand(hand_name))
     config = training_config(method, settings)
@@ -224,10 +224,10 @@ def cached_checkpoint(
 
 
 def training_recording(source: Recording | str | os.PathLike | None, side: str, seed: int = 0) -> Recording:
-    """A recording to train a robot hand of that side on: the one given, a file's, or five minutes of play.
+    """Returns the training recording for a robot hand of `side`: given, read from a file, or synthesised.
 
     Raises:
-        RecordingError: it is of the other hand, or the file is unsuitable for training.
+        RecordingError: the recording is of the other hand, or the file is unsuitable for training.
     """
     if source is None:
         return synthesize_play(seed, side=side)
@@ -240,9 +240,9 @@ def training_recording(source: Recording | str | os.PathLike | None, side: str, 
 
 @contextlib.contextmanager
 def _collect_warnings(messages: list[str]) -> Iterator[None]:
-    """Appends the RuntimeWarnings of the block to `messages`, and issues all other warnings."""
+    """Appends the RuntimeWarnings of the block to `messages`; issues all other warnings."""
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default")  # a warning of every step is kept once
+        warnings.simplefilter("default")  # a warning that occurs at every step is kept once
         yield
     for warning in caught:
         if issubclass(warning.category, RuntimeWarning):

@@ -1,4 +1,4 @@
-"""A Rerun recording of a training: how the map from a human to a robot hand forms, step by step."""
+"""Writes a Rerun recording of a training: how the map from a human to a robot hand forms."""
 
 import copy
 import os
@@ -23,7 +23,7 @@ from geort_drake.rerun.writer import PALETTE, STEPS, LineStrips3D, Points3D, Wri
 from geort_drake.retargeting.clouds import voxel_centres, voxel_thinned
 from geort_drake.retargeting.training.map_figures import coverage, motion_preservation
 
-# From human fingertips (N, F, 3) of a canonical right hand, m, to joint angles (N, n), rad.
+# Maps human fingertips (N, F, 3) of a canonical right hand, m, to joint angles (N, n), rad.
 Map = Callable[[np.ndarray], np.ndarray]
 APPLICATION = "geort_drake_training"
 _PLAYING_TIME = 10.0  # s
@@ -34,40 +34,40 @@ mapped to the robot. The map should preserve directions (I), cover the whole rea
 
 Plots: I mean cosine; II, IV and V fractions; III 0 for an affine map. Both hands show one pinch.
 """
-# Title, eye and target (m, in W), and entities of each view.
+# Title, eye and target (in W, m), and entities of each view.
 _VIEWS = (
     ("the person's fingertips", (0.19, 0.18, 0.17), (0.03, 0.01, 0.1), ["/world/human/**"]),
     ("mapped to the robot", (0.22, 0.53, 0.19), (0.04, 0.33, 0.11), ["/world/robot/**"]),
 )
-_SHARE = (-0.05, 1.08)  # limits of a plot that labels 0 and 1
-# Criterion → title of its plot, and the plot's limits.
+_FRACTION_LIMITS = (-0.05, 1.08)  # limits of a plot that shows the labels 0 and 1
+# Criterion → title and limits of its plot.
 _CRITERIA: dict[str, tuple[str, tuple[float, float] | None]] = {
-    "motion": ("I  motion", _SHARE),
-    "coverage": ("II  reach", _SHARE),
+    "motion": ("I  motion", _FRACTION_LIMITS),
+    "coverage": ("II  reach", _FRACTION_LIMITS),
     "flatness": ("III  flatness", None),
-    "pinch": ("IV  pinches", _SHARE),
-    "collision": ("V  collisions", _SHARE),
+    "pinch": ("IV  pinches", _FRACTION_LIMITS),
+    "collision": ("V  collisions", _FRACTION_LIMITS),
 }
 _CRITERION_COLOR = (86, 180, 233)
 _HUMAN, _ROBOT = "/world/human", "/world/robot"
 _SPACING = 0.32  # m, from the human to the robot hand
-# Numbers of hands: for figures, for collisions, of pinches; of anchors of the metrics; of robot poses.
+# Numbers of hands for motion and coverage, for collisions and for pinches; of anchors; of robot poses.
 _FRAMES, _COLLIDING, _PINCHING, _ANCHORS, _SAMPLES = 1000, 150, 40, 300, 20_000
 _VOXEL = 0.008  # m, of both clouds
-_DOT = 0.001  # m, radius
-_CELL = 0.012  # m, of the lattices
-_LATTICE_RADIUS = 0.0006  # m, of its lines
+_DOT_RADIUS = 0.001  # m
+_CELL = 0.012  # m, edge of the lattices' cells
+_LATTICE_RADIUS = 0.0006  # m, of the lattices' lines
 
 
 class TrainingRecorder:
-    """Records a training: pass `observe` to the trainer as its `Report`; `write` makes the recording.
+    """Records a training: pass `observe` to the training as its `Report`, then call `write`.
 
     `observe` only copies the weights; `write` computes everything else.
 
     Args:
         hand: model of the robot hand.
-        recording: training data.
-        seed: of the samples for the figures.
+        recording: the training recording.
+        seed: seed of the samples for the figures.
     """
 
     def __init__(self, hand: HandModel, recording: Recording, seed: int = 0):
@@ -79,7 +79,7 @@ class TrainingRecorder:
         self._steps = 0
 
     def observe(self, step: int, steps: int, losses: dict[str, float], network: torch.nn.Module) -> None:
-        """Copies the weights; the network maps fingertips (N, F, 3), m, to joint angles (N, n), rad."""
+        """Copies losses and weights; the network maps fingertips (N, F, 3), m, to joint angles (N, n)."""
         if self._network is None:
             self._network = copy.deepcopy(network).cpu()
         self._steps = steps
@@ -92,14 +92,14 @@ class TrainingRecorder:
         """Writes the recording, with the criteria measured at every observed step.
 
         Args:
-            path: .rrd to write.
+            path: .rrd file to write.
             trained: the final map, shown last.
-            properties: of the recording; must contain `method`, `hand` and `seed`.
+            properties: properties of the recording, with at least `method`, `hand` and `seed`.
         """
         maps = {step: self._map(weights) for step, weights in self._weights.items()} | {self._steps: trained}
         keys = dict.fromkeys(name for line in self._losses for name in line)
         names = [name for name in keys if name not in ("step", "seconds", "total")]
-        # Some losses are computed at some of the steps only.
+        # Some losses are computed only at some of the steps.
         losses = np.array([[line.get(name, np.nan) for name in names] for line in self._losses])
         id = "-".join(str(properties[key]) for key in ("method", "hand", "seed"))
         with file_writer(
@@ -122,7 +122,7 @@ class TrainingRecorder:
             self._write_maps(writer, list(maps.values()))
 
     def _write_maps(self, writer: Writer, maps: Sequence[Map]) -> None:
-        """Sends hands, clouds, lattices and criteria; one map for each of the writer's times."""
+        """Sends hands, clouds, lattices and criteria, with one map for each of the writer's times."""
         hand, keypoints = self._hand, self._hand.description.human_keypoints
         # Maps work on canonical right hands; a left hand is drawn mirrored back.
         shown: Callable = mirrored if hand.description.side == "left" else np.asarray
@@ -136,14 +136,14 @@ class TrainingRecorder:
         write_robot_hand(writer, _ROBOT, hand, q, X_WB)
         pinching = np.flatnonzero(pinches.closed)
         pinching = frames[pinching[_evenly(len(pinching), _PINCHING)]]
-        some = frames[_evenly(len(frames), _FRAMES)]
+        subset = frames[_evenly(len(frames), _FRAMES)]
         reachable = []
         p_BF = self._fingertips(hand.sample(_SAMPLES, self._seed))
         colors = finger_colors(hand.finger_names)
         for i, (name, color) in enumerate(zip(hand.finger_names, colors, strict=True)):
             reachable.append(voxel_thinned(p_BF[:, i], _VOXEL))
-            cloud = shown(voxel_thinned(some[:, i], _VOXEL))
-            writer.static(f"{_HUMAN}/cloud/{name}", Points3D(cloud, radii=_DOT, colors=[color]))
+            cloud = shown(voxel_thinned(subset[:, i], _VOXEL))
+            writer.static(f"{_HUMAN}/cloud/{name}", Points3D(cloud, radii=_DOT_RADIUS, colors=[color]))
             lattice = Lattice(frames, i)
             lines = shown(lattice.segments(lattice.nodes))
             strips = LineStrips3D(lines, radii=_LATTICE_RADIUS, colors=[color])
@@ -152,7 +152,7 @@ class TrainingRecorder:
             rows = [shown(lattice.segments(of_step)) for of_step in nodes]
             writer.lines(f"{_ROBOT}/lattice/{name}", rows, _LATTICE_RADIUS, color)
         curves = np.array(
-            [self._measure(retarget, some, pinching, reachable) for retarget in maps], dtype=float
+            [self._measure(retarget, subset, pinching, reachable) for retarget in maps], dtype=float
         )
         for key, values in zip(_CRITERIA, curves.T, strict=True):
             writer.series(f"/criteria/{key}", [key], values[:, None], [_CRITERION_COLOR], 2.0)
@@ -160,7 +160,7 @@ class TrainingRecorder:
     def _measure(
         self, retarget: Map, frames: np.ndarray, pinching: np.ndarray, reachable: list[np.ndarray]
     ) -> tuple:
-        """The criteria, with the same random numbers for every map."""
+        """Computes the criteria, with the same random numbers for every map."""
 
         def fingertips(p_HF: np.ndarray) -> np.ndarray:
             return self._fingertips(retarget(p_HF))
@@ -193,10 +193,10 @@ class TrainingRecorder:
 
 
 class Lattice:
-    """A flat square lattice among the positions of one human fingertip, in their plane of best fit.
+    """A flat square lattice in the axis-aligned plane with most positions of a human fingertip.
 
     Attributes:
-        nodes: (k, 3), m.
+        nodes: (k, 3) positions in H, m.
         hands: (k, F, 3) recorded hands with that fingertip moved to the nodes, m.
     """
 
@@ -212,23 +212,23 @@ class Lattice:
         self._edges = cKDTree(self.nodes).query_pairs(1.1 * _CELL, output_type="ndarray")
 
     def segments(self, nodes: np.ndarray) -> np.ndarray:
-        """(e, 2, 3) between neighbours, for nodes (k, 3) that were moved."""
+        """Returns the segments (e, 2, 3) between neighbours for moved nodes (k, 3)."""
         return nodes[self._edges]
 
 
 def _evenly(count: int, most: int) -> np.ndarray:
-    """At most `most` evenly spaced rows out of `count`."""
+    """Returns at most `most` evenly spaced rows out of `count`."""
     return np.linspace(0, count - 1, min(most, count)).astype(int)
 
 
 def _blueprint(steps: int, losses: np.ndarray) -> Any:
-    """The layout for losses (observations, losses)."""
+    """Makes the layout; losses (K, L) are those of K observations."""
     scenes = [views.scene_view(eye, target, title, contents) for title, eye, target, contents in _VIEWS]
     criteria = [
         views.time_series(title, [f"/criteria/{key}"], steps=steps, limits=limits)
         for key, (title, limits) in _CRITERIA.items()
     ]
-    # The highest peaks are cut off; they would flatten everything else.
+    # The highest peaks are cut off, because they would flatten everything else.
     low, high = np.nanpercentile(losses, [0, 97])
     margin = 0.05 * max(high - low, 1e-6)
     # The axis is longer than the training, to leave room for the legend.
