@@ -1,6 +1,6 @@
-"""Recordings for the Rerun viewer, of any Drake diagram and without one.
+"""Records Drake diagrams, or arrays without a simulation, for the Rerun viewer.
 
-A recorder is a system in a diagram. It samples the bodies of a plant, and further ports on request:
+A recorder is a system in a diagram. It samples the bodies of a plant, and other ports on request:
 
     torque = SignalSpec(port, ["shoulder", "elbow"], unit="N m")
     recorder = add_rerun_recorder(builder, plant, scene_graph, "robot.rrd", {"torque": torque})
@@ -9,8 +9,8 @@ A recorder is a system in a diagram. It samples the bodies of a plant, and furth
         simulator.AdvanceTo(5.0)
 
 `HandSpec`, `PointsSpec`, `StateSpec`, `ContactSpec`, `CameraSpec` and `CloseUpSpec` add human hands, points,
-named states, contact forces, pictures and views. Without a simulation, `file_writer` gives a `Writer`, whose
-methods send arrays over time. `take_screenshot` makes a picture of a file.
+named states, contact forces, camera images and views. Without a simulation, `file_writer` opens a `Writer`,
+whose methods send arrays over time. `take_screenshot` renders a recording as an image.
 """
 
 from geort_drake.rerun.add_recorder import add_rerun_recorder

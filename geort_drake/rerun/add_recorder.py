@@ -39,21 +39,21 @@ def add_rerun_recorder(
     properties: Mapping[str, Property] | None = None,
     plant_ports: Mapping[str, OutputPort] | None = None,
 ) -> RerunRecorder:
-    """Adds a Rerun recorder of a plant and of other ports to a diagram.
+    """Adds a Rerun recorder of a plant and other ports to a diagram; on errors, the builder stays unchanged.
 
     Args:
-        builder: of the diagram that contains `plant` and all ports below. For a port inside a nested diagram,
-            give the nested diagram's exported port; for a plant inside one, see `plant_ports`.
-        plant: finalized.
-        path: the .rrd file, whose folder is made when needed; None with viewers only.
-        specs: entity path → what to record besides the plant: signals and states under /; hands, points and
-            cameras under /world.
+        builder: builder of the diagram that contains `plant` and all ports below. For a port inside a nested
+            diagram, give the nested diagram's exported port; for a plant inside one, see `plant_ports`.
+        plant: finalized plant.
+        path: the .rrd file, whose folder is created if needed; None with viewers only.
+        specs: entity path → what to record in addition to the plant: signals and states under /; hands,
+            points and cameras under /world.
         viewers: open viewers, such as `rerun.GrpcSink("rerun+http://127.0.0.1:9876/proxy")`, or servers to
             which viewers connect, such as `rerun.GrpcServerSink`.
-        period: of the samples, s.
-        role: which geometry to draw; a body without any is drawn with its proximity geometry.
-        contact: how contact forces are recorded (point and hydroelastic contact).
-        close_ups: name → another view of the scene.
+        period: time between samples, s.
+        role: role of the geometry to draw; a body without any is drawn with its proximity geometry.
+        contact: options for recording contact forces (point and hydroelastic contact).
+        close_ups: name → additional view of the scene.
         view_from: direction in W from the scene to the eye.
         properties: facts that the viewer lists, such as {"method": "geort", "seed": 3}.
         plant_ports: for a plant inside a nested diagram, the ports by which that diagram exports the plant's
@@ -63,14 +63,12 @@ def add_rerun_recorder(
         ScenarioError: the plant is not finalized; a port does not fit or is in another diagram; the period
             or `view_from` is invalid; or there is neither a file nor a viewer.
         OutputError: the file cannot be written.
-
-    The builder is unchanged then.
     """
     if path is not None:
         require_writable(path)
     where = path or "live recording"
     if path is None and not viewers:
-        raise ScenarioError("a recorder needs a file, viewers, or both; given: neither")
+        raise ScenarioError("a recorder needs a file, viewers or both; given: neither")
     if not plant.is_finalized():
         raise ScenarioError(
             f"{where}: the plant '{plant.get_name()}' must be finalized before it is recorded"

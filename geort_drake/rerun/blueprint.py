@@ -1,4 +1,4 @@
-"""Views of layouts."""
+"""Makes the views of layouts."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -9,9 +9,9 @@ import rerun.blueprint as rrb
 
 from geort_drake.rerun.writer import TIMELINE, WORLD
 
-# Black hands, white arms and skin are visible on this grey; the grid is slightly brighter.
+# Black hands, white arms and skin stand out from this grey; the grid is slightly brighter.
 _BACKGROUND, _GRID = (70, 76, 88), (92, 99, 112, 255)
-# px in the viewer: title and ruler of a view of lanes, one lane, and the views in a window of 720 px.
+# Heights in the viewer, px: title and ruler of a view of lanes; a lane; all views in a window of 720 px.
 _RULER, _LANE, _WINDOW = 48, 40, 650
 # For layouts in other packages, which do not import Rerun.
 Horizontal, Vertical, Tabs = rrb.Horizontal, rrb.Vertical, rrb.Tabs
@@ -21,10 +21,10 @@ Vector = Sequence[float] | np.ndarray
 
 
 def blueprint(layout: View, timeline: str = TIMELINE, rate: float = 1.0) -> rrb.Blueprint:
-    """A layout that plays in a loop, with the viewer's panels collapsed.
+    """Makes a layout that plays in a loop, with the viewer's panels collapsed.
 
     Args:
-        rate: of playing: seconds per second, or steps per second.
+        rate: playback rate: recorded seconds, or steps, per second.
     """
     steps = timeline != TIMELINE
     time_panel = rrb.TimePanel(
@@ -54,14 +54,14 @@ def scene_view(
     origin: str = f"/{WORLD}",
     up: Vector = (0.0, 0.0, 1.0),
 ) -> View:
-    """The world, with a grid on the ground, or another entity in its own frame.
+    """Makes a view of the world with a grid on the ground, or of another entity in its own frame.
 
     Args:
-        eye, target, up: eye point, target point and up direction, m, in the frame of `origin`.
+        eye, target, up: eye point, target point and up direction in the frame of `origin`, m.
         contents: entities to show.
         overrides: entity path → components that the view replaces.
     """
-    # A little below z = 0, where tables often have their tops.
+    # The grid is slightly below z = 0, where tables often have their tops.
     plane = rr.components.Plane3D.XY.with_distance(-0.005)
     grid = rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=0.5, color=_GRID, plane=plane)
     controls = rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=up)
@@ -77,10 +77,10 @@ def scene_view(
 
 
 def lanes_share(lanes: int, others: float) -> float:
-    """The share of a column that shows this many lanes completely, but at most half of the column.
+    """Returns the share of a column that fits this many lanes, but at most half of the column.
 
     Args:
-        others: sum of the shares of the other views of the column.
+        others: sum of the shares of the other views in the column.
     """
     height = _RULER + _LANE * lanes
     return others * height / max(_WINDOW - height, height)
@@ -93,10 +93,10 @@ def time_series(
     steps: int | None = None,
     limits: tuple[float, float] | None = None,
 ) -> View:
-    """A plot whose time axis moves with those of the others, or shows `steps` steps.
+    """Makes a plot whose time axis is linked to those of the others, or shows `steps` steps.
 
     Args:
-        legend: "left" or "right", to show one there.
+        legend: side of the legend, "left" or "right"; empty for none.
         limits: lowest and highest value; by default those of the data.
     """
     axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)

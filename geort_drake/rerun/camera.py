@@ -1,4 +1,4 @@
-"""A camera's images in a recording."""
+"""Records the images of a camera."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -15,16 +15,16 @@ from geort_drake.rerun.specs import Spec
 from geort_drake.rerun.writer import WORLD, Writer, entity_path
 
 _JPEG_QUALITY = 85  # a tenth of the size of PNG
-_IMAGE_DISTANCE = 0.15  # m; how far in front of the camera its image is drawn in the scene
+_IMAGE_DISTANCE = 0.15  # m, from the camera to its image in the scene
 
 
 @dataclass(frozen=True)
 class CameraSpec(Spec):
-    """Records the colour images of a camera, as JPEG, and X_WC; C is the colour camera, z forward, y down.
+    """Records a camera's colour images as JPEG, and its pose X_WC with z forward and y down in C.
 
     Attributes:
-        sensor: rendered for each image, which takes far longer than everything else.
-        period: between images, s; at least the recorder's.
+        sensor: the camera; rendering its images takes far longer than everything else.
+        period: time between images, s; at least the recorder's period.
     """
 
     sensor: RgbdSensor

@@ -25,7 +25,7 @@ from geort_drake.rerun.specs import (
 )
 from geort_drake.rerun.writer import HAND_FRAME, TIMELINE, WORLD, entity_path
 
-VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: from the front left, above
+VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: front left, above
 _VIEWS, _PLOTS = 3.0, 2.0  # relative heights
 
 
@@ -42,8 +42,8 @@ class Layout:
     """Makes the default layout: views and images in a row, states below them, plots at the bottom.
 
     Attributes:
-        scene: the plant.
-        close_ups: name → spec.
+        scene: bodies of the plant.
+        close_ups: name → spec of each additional view.
         view_from: direction in W from the scene to the eye.
     """
 
@@ -52,7 +52,7 @@ class Layout:
     view_from: np.ndarray
 
     def blueprint(self, specs: Mapping[str, Spec], rows: Mapping[str, Sequence]) -> rrb.Blueprint:
-        """The layout for the specs, and for the rows that have been sampled of each."""
+        """Makes the layout for the specs and the rows that have been sampled for each."""
 
         def of(kind: type[Spec]) -> dict[str, Any]:
             return {key: spec for key, spec in specs.items() if isinstance(spec, kind)}
@@ -86,7 +86,7 @@ class Layout:
         hands: Mapping[str, Sequence[np.ndarray]],
         trails: Mapping[str, rrb.VisibleTimeRanges],
     ) -> views.View:
-        # The view turns with what it follows, so it is upright at the end only.
+        # The view turns with the frame that it follows, so it is upright only at the end.
         eye, target, R_WF = np.asarray(spec.eye, float), np.asarray(spec.target, float), np.eye(3)
         if isinstance(spec.follows, str):
             path = entity_path(WORLD, spec.follows)
@@ -110,9 +110,9 @@ class Layout:
     def _target_and_eye(
         self, poses: Sequence[np.ndarray], hands: Mapping[str, Sequence[np.ndarray]]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Target and eye, m, in W, for a view of the moving bodies and the hands.
+        """Returns target and eye in W, m, for a view of the moving bodies and the hands.
 
-        The outermost two percent are left out, so that one thrown object does not shrink everything else.
+        The outermost two percent of positions are ignored, so that a thrown object does not shrink the rest.
         """
         points = [X_WB[..., 3] for X_WB in poses] + [p_WK for rows in hands.values() for p_WK in rows]
         cloud = np.concatenate([np.empty((0, 3)), *points])
@@ -124,7 +124,7 @@ class Layout:
 
 
 def followed_bodies(close_ups: Mapping[str, CloseUpSpec], specs: Mapping[str, Spec]) -> list[int]:
-    """Indices of the bodies that close-ups follow.
+    """Returns the indices of the bodies that close-ups follow.
 
     Raises:
         ScenarioError: a close-up follows a hand that is not recorded.
@@ -143,7 +143,7 @@ def followed_bodies(close_ups: Mapping[str, CloseUpSpec], specs: Mapping[str, Sp
 
 
 def _plots(signals: Mapping[str, SignalSpec]) -> dict[str, list[views.View]]:
-    """The plots of each page; fingers in their usual order, whatever the order of the joints."""
+    """Makes the plots of each page, with fingers in their usual order regardless of the order of joints."""
     # Signals with the same title, such as commanded and measured, share a plot.
     paths: dict[tuple[str, str], list[str]] = {}
     limits: dict[str, tuple[float, float] | None] = {}

@@ -1,4 +1,4 @@
-"""Meshes of a scene graph as Rerun archetypes, in the body's frame B."""
+"""Converts meshes of a scene graph to Rerun archetypes in the body's frame B."""
 
 import contextlib
 import itertools
@@ -24,7 +24,7 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 
-# Drake turns a glTF file's y axis to its own z axis before it scales.
+# Drake rotates a glTF file's y axis to its own z axis before scaling.
 _GLTF_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 # Names of entities below that of the geometry, and an archetype.
 Part = tuple[tuple[str, ...], rr.AsComponents]
@@ -33,13 +33,13 @@ Part = tuple[tuple[str, ...], rr.AsComponents]
 def draw_mesh(
     inspector: SceneGraphInspector, geometry: GeometryId, role: Role, color: list[int]
 ) -> list[Part] | None:
-    """The archetypes that draw a mesh or a convex shape; None for any other shape.
+    """Returns the archetypes that draw a mesh or a convex shape; None for any other shape.
 
-    Visual geometry is drawn from its file, with the file's materials. Collision geometry is drawn as
-    Drake's contact model sees it: as the hydroelastic mesh, or else as the convex hull.
+    Visual geometry is drawn from its file, with the file's materials. Collision geometry is drawn as Drake's
+    contact model uses it: as the hydroelastic mesh, or else as the convex hull.
 
     Args:
-        color: red, green, blue, opacity, 0–255, of parts without a material.
+        color: red, green, blue and opacity, 0–255, of parts without a material.
     """
     shape = inspector.GetShape(geometry)
     if not isinstance(shape, Mesh | Convex):
@@ -49,7 +49,7 @@ def draw_mesh(
         try:
             with _on_disk(shape.source()) as path:
                 return (_obj if shape.extension() == ".obj" else _gltf)(path, shape, X_BG, color)
-        except Exception as error:  # trimesh raises errors of many kinds
+        except Exception as error:  # trimesh raises many kinds of errors
             name = inspector.GetName(geometry)
             warnings.warn(f"geometry {name}: drawn as its convex hull; {error}", stacklevel=5)
     triangles = _hydroelastic(inspector, geometry) if role == Role.kProximity else None
@@ -59,7 +59,7 @@ def draw_mesh(
 
 
 def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> list[Part]:
-    """One mesh per material of an OBJ file."""
+    """Returns one mesh per material of an OBJ file."""
     parts = list(_load(path).geometry.values())
     drawn: list[Part] = []
     for number, part in enumerate(parts):
@@ -68,7 +68,7 @@ def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> lis
         if material is None:
             look: dict[str, Any] = {"albedo_factor": color}
         elif material.image is not None and part.visual.uv is not None:
-            # Texture coordinates count from the bottom in the file and from the top in Rerun.
+            # Texture coordinates start at the bottom in the file and at the top in Rerun.
             uv = part.visual.uv[part.faces].reshape(-1, 2) * [1, -1] + [0, 1]
             look = {"albedo_texture": np.asarray(material.image.convert("RGB")), "vertex_texcoords": uv}
         else:
@@ -79,7 +79,7 @@ def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> lis
 
 
 def _gltf(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> list[Part]:
-    """A glTF file with its buffers and images in one piece, and its pose."""
+    """Returns a glTF file with embedded buffers and images, and its pose."""
     scene = _load(path)
     has_materials = any(part.visual.defined for part in scene.geometry.values())
     scaled = shape.scale3()[:, None] * _GLTF_UP
@@ -93,15 +93,15 @@ def _gltf(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> li
 
 
 def load_triangles(path: Path, scale: np.ndarray) -> np.ndarray:
-    """Triangles (n, 3, 3), m, of a mesh file at a scale (3,), in the axes in which Drake reads it."""
+    """Returns the triangles (n, 3, 3), m, of a mesh file at a scale (3,), in the axes that Drake uses."""
     triangles = np.asarray(_load(path).to_mesh().triangles)
-    turned = triangles if path.suffix == ".obj" else triangles @ _GLTF_UP.T
-    return turned * scale
+    rotated = triangles if path.suffix == ".obj" else triangles @ _GLTF_UP.T
+    return rotated * scale
 
 
 def _load(path: Path) -> Any:
-    """A file as trimesh's scene, with the files that it names, whose names may be percent-encoded."""
-    import trimesh  # few plants have meshes
+    """Loads a file and the files that it references, by percent-encoded names, as a trimesh scene."""
+    import trimesh  # imported here, because few plants have meshes
 
     class Resolver(trimesh.resolvers.FilePathResolver):
         def get(self, name: str) -> bytes:
@@ -112,7 +112,7 @@ def _load(path: Path) -> Any:
 
 @contextlib.contextmanager
 def _on_disk(source: MeshSource) -> Iterator[Path]:
-    """The path of a mesh file; one that is in memory is written to a temporary folder."""
+    """Provides the path of a mesh file; a mesh in memory is written to a temporary folder."""
     if source.is_path():
         yield source.path()
         return
@@ -121,16 +121,16 @@ def _on_disk(source: MeshSource) -> Iterator[Path]:
         path = Path(folder) / f"mesh{mesh.mesh_file.extension()}"
         path.write_bytes(mesh.mesh_file.contents())
         for name, file in mesh.supporting_files.items():
-            beside = Path(folder) / name
-            beside.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_bytes(file.read_bytes() if isinstance(file, Path) else file.contents())
+            supporting = Path(folder) / name
+            supporting.parent.mkdir(parents=True, exist_ok=True)
+            supporting.write_bytes(file.read_bytes() if isinstance(file, Path) else file.contents())
         yield path
 
 
 def _flat(triangles: np.ndarray, X_BG: RigidTransform, **look: Any) -> rr.Mesh3D:
-    """A mesh of triangles (n, 3, 3), m, in frame G, with flat shading."""
+    """Makes a mesh with flat shading from triangles (n, 3, 3) in frame G, m."""
     corners = triangles @ X_BG.rotation().matrix().T + X_BG.translation()
-    # Corners are not shared, so that every triangle has its own normal and edges stay sharp.
+    # Triangles share no corners, so that each has its own normal and edges stay sharp.
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return rr.Mesh3D(
@@ -139,7 +139,7 @@ def _flat(triangles: np.ndarray, X_BG: RigidTransform, **look: Any) -> rr.Mesh3D
 
 
 def _hydroelastic(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """Triangles (n, 3, 3), m, of the hydroelastic surface; None if there is none."""
+    """Returns the triangles (n, 3, 3), m, of the hydroelastic surface; None if there is none."""
     mesh = inspector.maybe_get_hydroelastic_mesh(geometry)
     if isinstance(mesh, VolumeMesh):
         mesh = ConvertVolumeToSurfaceMesh(mesh)
@@ -150,10 +150,10 @@ def _hydroelastic(inspector: SceneGraphInspector, geometry: GeometryId) -> np.nd
 
 
 def hull(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """Triangles (n, 3, 3), m, of the convex hull; None if Drake cannot compute it."""
+    """Returns the triangles (n, 3, 3), m, of the convex hull; None if Drake cannot compute it."""
     try:
         surface = inspector.GetConvexHull(geometry)
-    except RuntimeError:  # Drake computes it on demand, and may find the file unreadable
+    except RuntimeError:  # Drake computes hulls on demand; the file may be unreadable
         return None
     vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
     fans = []

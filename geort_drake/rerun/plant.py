@@ -1,4 +1,4 @@
-"""What a recorder records of the plant itself: poses and contact forces."""
+"""The recorded data of the plant itself: poses and contact forces."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,10 +25,10 @@ class ContactSpec:
     """Options for recording contact forces.
 
     Attributes:
-        groups: bodies whose contact forces are summed to one time series each, such as the links of a
-            finger: {"thumb": [link_12, ...]}. By default each moving body that is touched.
-        metres_per_newton: length of the arrows.
-        max_length: longer arrows are cut to this length, m.
+        groups: name → bodies whose contact forces are summed to one time series, such as the links of a
+            finger: {"thumb": [link_12, ...]}. By default each touched moving body has its own.
+        metres_per_newton: length of the arrows per force, m/N.
+        max_length: largest length of the arrows, m.
     """
 
     groups: Mapping[str, Sequence[RigidBody]] | None = None
@@ -38,7 +38,7 @@ class ContactSpec:
 
 @dataclass(frozen=True)
 class Poses(Spec):
-    """Poses X_WB of all moving bodies: rows (bodies, 3, 4)."""
+    """Records the poses X_WB of all moving bodies, in rows (bodies, 3, 4)."""
 
     scene: Scene
 
@@ -55,7 +55,7 @@ class Poses(Spec):
 
 @dataclass(frozen=True)
 class Contacts(Spec):
-    """Contact forces: rows of `contact_rows`."""
+    """Records contact forces, in rows from `contact_rows`."""
 
     scene: Scene
     options: ContactSpec
@@ -85,7 +85,7 @@ class Contacts(Spec):
         for number, (path, (name, members)) in enumerate(self._groups(writer, bodies).items()):
             member = np.zeros(len(self.scene.paths), dtype=bool)
             member[members] = True
-            # The forces that act on the group from outside.
+            # Only forces that act on the group from outside count.
             crossing = member[bodies[:, 0]] != member[bodies[:, 1]]
             total = np.bincount(sample[crossing], magnitude[crossing], minlength=len(writer.times))
             finger = FINGER_COLOURS.get(name)
@@ -93,7 +93,7 @@ class Contacts(Spec):
             writer.series(path, [name], total[:, None], [color], 1.5)
 
     def _groups(self, writer: Writer, bodies: np.ndarray) -> dict[str, tuple[str, list[int]]]:
-        """Entity path of each series → its name and bodies; a body has a series from its first contact on."""
+        """Returns entity path → name and bodies of each series; a body has one from its first contact on."""
         groups: dict[str, tuple[str, list[int]]] = writer.memory.setdefault(_SERIES, {})
         if self.options.groups is not None:
             for name, members in self.options.groups.items():

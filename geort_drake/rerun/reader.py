@@ -1,4 +1,4 @@
-"""Reads signals, states and poses back from a recording, as arrays at common times."""
+"""Reads signals, states and poses of a recording as arrays at common times."""
 
 import os
 import warnings
@@ -24,9 +24,9 @@ class RecordedSamples:
 
     Attributes:
         t: (T,) all times at which anything was sampled, s.
-        signals: (T,) each, the latest value at each time.
-        states: (T,) names of states.
-        poses: X_WB (T, 7) of the moving bodies, qw qx qy qz x y z.
+        signals: name → (T,) latest values at these times.
+        states: name → (T,) names of the states.
+        poses: name → X_WB (T, 7) of each moving body as qw qx qy qz x y z, m.
     """
 
     t: np.ndarray
@@ -36,10 +36,10 @@ class RecordedSamples:
 
 
 def read_samples(path: str | os.PathLike) -> RecordedSamples:
-    """Reads a file of `RerunRecorder`.
+    """Reads a file written by `RerunRecorder`.
 
     Raises:
-        RecordingError: the file is missing, truncated, no Rerun recording, or contains no samples.
+        RecordingError: the file is missing or truncated, is no Rerun recording, or contains no samples.
     """
     columns, names = _columns(Path(path))
     if not columns:
@@ -67,7 +67,7 @@ def read_samples(path: str | os.PathLike) -> RecordedSamples:
 
 
 def _columns(path: Path) -> tuple[dict[tuple[str, str], tuple[np.ndarray, pa.Array]], dict[str, list[str]]]:
-    """For each entity and component its times, ns, and values; and the names of each entity's series."""
+    """Returns times, ns, and values of each entity and component, and the names of each entity's series."""
     pieces: dict[tuple[str, str], list[tuple[bytes, np.ndarray, pa.Array]]] = defaultdict(list)
     names: dict[str, list[str]] = {}
     if not path.is_file():
@@ -77,20 +77,20 @@ def _columns(path: Path) -> tuple[dict[tuple[str, str], tuple[np.ndarray, pa.Arr
             warnings.simplefilter("ignore")  # a truncated file raises an error below
             for chunk in RrdReader(path).stream():
                 batch = chunk.to_record_batch()
-                held = batch.schema.names
-                if _NAMES in held:
+                present = batch.schema.names
+                if _NAMES in present:
                     names[chunk.entity_path] = batch.column(_NAMES)[0].as_py()
-                if TIMELINE not in held or not batch.num_rows:
+                if TIMELINE not in present or not batch.num_rows:
                     continue
                 row_id = batch.column("rerun.controls.RowId")[0].as_py()
                 stamps = batch.column(TIMELINE).cast(pa.int64()).to_numpy()
                 for component in (_SCALARS, _STATE, _ROTATION, _TRANSLATION):
-                    if component in held:
+                    if component in present:
                         pieces[chunk.entity_path, component].append((row_id, stamps, batch.column(component)))
     except (RuntimeError, ValueError) as error:
         raise RecordingError(f"{path}: not a readable Rerun recording: {error}") from error
     columns = {}
-    # Row ids increase in the order in which rows were written.
+    # Row ids increase in the order of writing.
     for key, parts in sorted(pieces.items(), key=lambda item: min(part[0] for part in item[1])):
         stamps = np.concatenate([part[1] for part in parts])
         order = np.argsort(stamps, kind="stable")
@@ -99,7 +99,7 @@ def _columns(path: Path) -> tuple[dict[tuple[str, str], tuple[np.ndarray, pa.Arr
 
 
 def _matrix(values: pa.Array) -> np.ndarray:
-    """(T, n) of a list per row, nested or not."""
+    """Converts one list per row, nested or not, to an array (T, n)."""
     flat = values
     while pa.types.is_nested(flat.type):
         flat = flat.flatten()

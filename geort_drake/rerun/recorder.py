@@ -1,7 +1,7 @@
-"""The recorder: a system that samples a plant and further ports, for a Rerun file and for viewers.
+"""The recorder: a system that samples a plant and other ports, for a Rerun file and for viewers.
 
-Samples are kept in memory and written once, as columns, which takes far less time and space than logging
-each body as it moves.
+Samples are kept in memory and written once as columns, which takes far less time and space than logging each
+body as it moves.
 """
 
 import atexit
@@ -26,25 +26,25 @@ _BATCH_S = 0.1  # wall time between two batches for viewers
 class RerunRecorder(LeafSystem):
     """Records a plant and other ports to a Rerun file, to viewers, or to both.
 
-    Use `add_rerun_recorder` to make and connect it. Samples are taken in publish events, periodic and forced.
-    If time goes back, the samples after that time are dropped. Viewers get the samples in batches. The file
-    is written atomically by `flush`, by `close`, when the recorder is left as a context manager, also after
-    an error, and at the latest when the process ends.
+    Use `add_rerun_recorder` to make and connect it. It samples in periodic and forced publish events. If time
+    goes back, it drops the samples from that time on. Viewers get the samples in batches. `flush` and `close`
+    write the file atomically. Leaving the recorder as a context manager closes it, even after an error, and
+    so does the end of the process.
 
-    Input ports (one that is needed twice is declared once):
+    Input ports (a shared one is declared once):
         body_poses (abstract list of RigidTransform): X_WB of all bodies, in plant order.
-        contact_results (abstract ContactResults): of the plant.
+        contact_results (abstract ContactResults): contacts of the plant.
         <signal key> (n): any vector; <signal key>/0, 1, ... for a signal of several ports.
         <state key> (1): integer code.
         <hand key>/keypoints (63): p_HK, keypoint-major, m.
         <hand key>/wrist_pose (abstract RigidTransform): X_OH.
         <hand key>/valid (1): 1 tracked, 0 lost; if the hand has such a port.
         <points key> (3k): p_FP, point-major, m.
-        <camera key>/color_image (abstract ImageRgba8U).
+        <camera key>/color_image (abstract ImageRgba8U): image of the camera.
         <camera key>/body_pose (abstract RigidTransform): X_WB of the camera's body.
 
     Attributes:
-        path: where the file is written; None if there are only viewers.
+        path: path of the file; None if there are only viewers.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class RerunRecorder(LeafSystem):
         self._specs, self._inputs = dict(specs), dict(inputs)
         self._layout, self._viewers = layout, list(viewers)
         self._properties = dict(properties)
-        # Times, s, increasing, and rows of every spec; None where no row was due.
+        # Increasing times, s, with the rows of all specs; a row is None if none was due.
         self._samples: list[tuple[float, list]] = []
         self._read_at = dict.fromkeys(specs, -math.inf)  # s
         self._live: Writer | None = None
@@ -79,7 +79,7 @@ class RerunRecorder(LeafSystem):
         self._ports = {name: self.GetInputPort(name) for name in sources}
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
         self.DeclareForcedPublishEvent(self._sample)
-        # Registered after Rerun's own handler, and therefore run before Rerun shuts down.
+        # Registered after Rerun's own handler, so it runs before Rerun shuts down.
         atexit.register(self.close)
 
     def set_properties(self, properties: Mapping[str, Property]) -> None:
@@ -87,7 +87,7 @@ class RerunRecorder(LeafSystem):
         self._properties.update(properties)
 
     def flush(self) -> None:
-        """Writes the file with all samples so far, and sends viewers the remaining ones."""
+        """Writes the file with all samples so far, and sends the remaining samples to viewers."""
         if self._closed:
             return
         if self._viewers and self._sent < len(self._samples):
@@ -103,9 +103,10 @@ class RerunRecorder(LeafSystem):
             self._write(writer, 0)
 
     def close(self) -> None:
-        """Flushes; later samples are not kept, and closing again does nothing.
+        """Flushes and stops recording; closing again has no effect.
 
-        After an error nothing is written when the process ends, but closing again tries once more.
+        If flushing fails, recording goes on and `close` can be called again, but the end of the process no
+        longer calls it.
         """
         if self._closed:
             return
@@ -130,7 +131,7 @@ class RerunRecorder(LeafSystem):
         while self._samples and self._samples[-1][0] >= now:  # time has gone back
             self._samples.pop()
         self._sent = min(self._sent, len(self._samples))
-        values: dict[str, Any] = {}  # of the ports, of which several specs may share one
+        values: dict[str, Any] = {}  # of the ports, which specs may share
         rows: list = []
         for key, spec in self._specs.items():
             if spec.period > 0.0:
@@ -148,7 +149,7 @@ class RerunRecorder(LeafSystem):
         return EventStatus.Succeeded()
 
     def _columns(self, first: int) -> dict[str, Sequence]:
-        """The rows of every spec, from a sample on."""
+        """Returns the rows of every spec, from sample `first` on."""
         rows = [rows for _, rows in self._samples[first:]]
         columns = zip(*rows, strict=True) if rows else [()] * len(self._specs)
         return dict(zip(self._specs, columns, strict=True))
@@ -174,7 +175,7 @@ class RerunRecorder(LeafSystem):
             self._specs[key].write(writer, key, rows)
 
     def _digest(self) -> str:
-        """A hash of the contents: equal simulations give equal recordings."""
+        """Computes a hash of the contents, so that equal simulations give equal recordings."""
         digest = hashlib.sha256(repr(sorted(self._properties.items())).encode())
         digest.update(np.array([now for now, _ in self._samples]).tobytes())
         for key, rows in self._columns(0).items():

@@ -1,4 +1,4 @@
-"""The bodies of a plant as Rerun entities: their paths, shapes and fixed poses."""
+"""Describes the bodies of a plant as Rerun entities: their paths, shapes and fixed poses."""
 
 import warnings
 from collections import defaultdict
@@ -34,7 +34,7 @@ _DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)
 _TRANSLUCENT = 90  # opacity, of 255
 _HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
 
-# Drake's shape → name of the entity, archetype, and its dimensions.
+# Drake's shape → name of the entity, archetype, and function of its dimensions.
 _SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
     Box: ("boxes", rr.Boxes3D, lambda s: {"sizes": s.size()}),
     HalfSpace: ("boxes", rr.Boxes3D, lambda _: {"sizes": [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.0]}),
@@ -47,14 +47,14 @@ _SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
 
 @dataclass
 class Scene:
-    """The bodies of a plant, and how to draw them.
+    """The bodies of a plant and their geometry.
 
     Attributes:
-        paths: entity path of every body of the plant, by its index.
+        paths: entity path of each body of the plant, by its index.
         moving: indices of the bodies whose poses are recorded, in plant order.
         anchored: X_WB of the drawn bodies that are welded to the world, by index.
-        shapes: entity path and archetype of all geometry, which does not change.
-        body_of_geometry: body index of every proximity geometry.
+        shapes: entity path and archetype of each geometry.
+        body_of_geometry: body index of each proximity geometry.
     """
 
     paths: list[str]
@@ -71,7 +71,7 @@ class Scene:
             writer.static(path, archetype)
 
     def translucent_shapes(self, body: int) -> dict[str, rr.AsComponents]:
-        """Entity path of each shape of a body → override that makes it translucent."""
+        """Returns entity path → override that makes it translucent, for each shape of a body."""
         inside = f"{self.paths[body]}/"
         shapes = {path: _translucent(shape) for path, shape in self.shapes if path.startswith(inside)}
         return {path: style for path, style in shapes.items() if style is not None}
@@ -86,8 +86,8 @@ def describe_scene(
 ) -> Scene:
     """Reads the geometry of a finalized plant.
 
-    A body without geometry of the role is drawn with its proximity geometry; one that has neither is not
-    drawn. A geometry that cannot be drawn is left out with a warning that names it.
+    A body without geometry of the role is drawn with its proximity geometry; a body that has neither is not
+    drawn. A geometry that cannot be drawn is left out, with a warning that names it.
 
     Args:
         followed: indices of bodies whose poses are recorded even if nothing is drawn.
@@ -121,11 +121,11 @@ def describe_scene(
 def write_robot_hand(
     writer: Writer, path: str, hand: HandModel, q: np.ndarray, X_WB: RigidTransform | None = None
 ) -> None:
-    """Sends a hand at joint positions q (T, n), rad, one row for each of the writer's times.
+    """Sends a robot hand at joint positions q (T, n), rad, one row for each of the writer's times.
 
     Args:
         path: entity path of the hand base B, the frame of all entities below it.
-        X_WB: pose of the hand base.
+        X_WB: pose of the hand base; by default the identity.
     """
     writer.static(path, transform(X_WB or RigidTransform()))
     scene = describe_scene(hand.plant, hand.scene_graph, root=path)
@@ -151,9 +151,9 @@ def _body_path(plant: MultibodyPlant, body: RigidBody) -> str:
 def _draw(
     inspector: SceneGraphInspector, geometries: Sequence[GeometryId], role: Role, body_path: str
 ) -> list[tuple[str, rr.AsComponents]]:
-    """The archetypes that draw a body's geometry, in the body's frame.
+    """Returns the archetypes that draw a body's geometry, in the body's frame.
 
-    All shapes of one kind are one entity: a robot has hundreds, and entities cost space and time.
+    All shapes of a kind share an entity: a robot has hundreds of shapes, and entities cost space and time.
     """
     batches: dict[tuple[str, Any], dict[str, list]] = defaultdict(lambda: defaultdict(list))
     drawn: list[tuple[str, rr.AsComponents]] = []
@@ -178,7 +178,7 @@ def _draw(
             kind = type(shape).__name__
             warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=4)
     for (kind, archetype), columns in batches.items():
-        # The names of the geometries are shown for a selected one.
+        # The viewer shows the name of a geometry when it is selected.
         drawn.append((f"{body_path}/{kind}", archetype(**columns, fill_mode=SOLID, show_labels=False)))
     return drawn
 
@@ -198,7 +198,7 @@ def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
 
 
 def _translucent(shape: Any) -> rr.AsComponents | None:
-    """Overrides the opacity of a shape; None for other archetypes."""
+    """Returns an override for the opacity of a shape; None for other archetypes."""
     if isinstance(shape, rr.Mesh3D | rr.Asset3D):
         # The factor multiplies the colours of textures.
         factor = shape.albedo_factor

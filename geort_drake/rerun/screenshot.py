@@ -19,10 +19,10 @@ from geort_drake.errors import RecordingError
 from geort_drake.files import atomic_path
 from geort_drake.rerun.writer import STEPS, TIMELINE
 
-_NOTICE = 6.0  # s; for this long a notice of the viewer covers a corner
-_TIMEOUT = 120.0  # s; for the viewer to start, the file to load, and the layout to settle
+_NOTICE = 6.0  # s, during which a notice of the viewer covers a corner
+_TIMEOUT = 120.0  # s, for the viewer to start, the file to load and the layout to settle
 _ATTEMPTS = 4
-_PAUSE = 0.3  # s, between two pictures that are compared
+_PAUSE = 0.3  # s, between two screenshots that are compared
 _DRIVER = (
     "The viewer needs a graphics driver; without a graphics card, install a software driver "
     "(Debian and Ubuntu: apt-get install mesa-vulkan-drivers)."
@@ -53,7 +53,7 @@ class Camera:
         sleep(_NOTICE)
 
     def take(self, time: float | None = None) -> bytes:
-        """A .png of the window at a time, by default the end, once layout and plots have settled."""
+        """Returns a .png of the window at a time, by default the end, once layout and plots have settled."""
         shown = self.end if time is None else time
         kind = {"duration": shown} if self._timeline == TIMELINE else {"sequence": round(shown)}
         _retry(lambda: self._client.set_time(self._timeline, play_state="paused", **kind))
@@ -85,7 +85,7 @@ def camera(recording: str | os.PathLike, size: tuple[int, int] = (1440, 900)) ->
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    # ViewerClient.spawn would listen on all network interfaces, and fixes the window's size.
+    # ViewerClient.spawn would listen on all network interfaces and fix the window's size.
     command = [sys.executable, "-m", "rerun", "--headless", "--bind", "127.0.0.1", "--port", str(port)]
     command += ["--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen"]
     with tempfile.TemporaryFile() as log:
@@ -95,14 +95,14 @@ def camera(recording: str | os.PathLike, size: tuple[int, int] = (1440, 900)) ->
             stdout=log,
             stderr=log,
             env=os.environ | {"NO_COLOR": "1"},
-            start_new_session=True,  # a group of processes, see `_end`
+            start_new_session=True,  # makes a process group; see `_end`
         )
         try:
             _wait_for(port, viewer)
             client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
             yield Camera(client, recording)
         except (OSError, RuntimeError) as error:
-            raise RecordingError(f"{recording}: no picture: {error}. {_reason(viewer, log)}") from error
+            raise RecordingError(f"{recording}: no screenshot: {error}. {_reason(viewer, log)}") from error
         finally:
             _end(viewer)
 
@@ -119,10 +119,10 @@ def take_screenshot(
     Args:
         recording, size: as in `camera`.
         picture: the .png file.
-        time: on the recording's timeline: simulated s, or training steps; by default the end.
+        time: time on the recording's timeline, simulated s or training steps; by default the end.
 
     Raises:
-        RecordingError: see `camera`; or the picture has another suffix.
+        RecordingError: as in `camera`, or the picture has another suffix.
     """
     picture = Path(picture).resolve()
     if picture.suffix != ".png":
@@ -134,7 +134,7 @@ def take_screenshot(
 
 
 def _retry(ask: Callable[[], Any]) -> Any:
-    """The viewer's reply; on a busy machine, it may exceed the client's time limit."""
+    """Returns the viewer's reply; on a busy machine, it may exceed the client's time limit a few times."""
     for _ in range(_ATTEMPTS - 1):
         with contextlib.suppress(RuntimeError):
             return ask()
@@ -142,7 +142,7 @@ def _retry(ask: Callable[[], Any]) -> Any:
 
 
 def _reason(viewer: subprocess.Popen, log: IO[bytes]) -> str:
-    """The errors that the viewer reported, and advice if it crashed."""
+    """Returns the errors that the viewer reported, and advice if it has ended."""
     with contextlib.suppress(subprocess.TimeoutExpired):
         viewer.wait(timeout=2)
     log.seek(0)
@@ -152,7 +152,7 @@ def _reason(viewer: subprocess.Popen, log: IO[bytes]) -> str:
 
 
 def _end(viewer: subprocess.Popen) -> None:
-    # The command's Python part starts the viewer proper, in the same group of processes.
+    # The Python command starts the actual viewer in the same process group.
     with contextlib.suppress(ProcessLookupError):
         os.killpg(viewer.pid, signal.SIGKILL)
     viewer.wait()

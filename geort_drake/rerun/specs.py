@@ -1,4 +1,4 @@
-"""Kinds of data that a recorder adds to the bodies of a plant. Each reads ports and writes Rerun columns."""
+"""Data that a recorder adds to the bodies of a plant. Each kind reads ports and writes Rerun columns."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -20,16 +20,16 @@ Derive = Callable[[np.ndarray], np.ndarray]
 
 
 class Spec:
-    """One kind of recorded data; `key` is its entity path.
+    """A kind of recorded data; `key` is its entity path.
 
     Attributes:
-        period: least time between two rows, s.
+        period: shortest time between two rows, s.
     """
 
     period: float = 0.0
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
-        """Name of an input port of the recorder → output port to read; `plant_port` gives the plant's.
+        """Returns name of a recorder's input port → output port to read; `plant_port` gives the plant's.
 
         Raises:
             ScenarioError: a port does not fit.
@@ -37,11 +37,11 @@ class Spec:
         raise NotImplementedError
 
     def read(self, *values: Any) -> Any:
-        """One row from the values of the ports, which the row must copy."""
+        """Makes a row from the values of the ports, which it must copy."""
         raise NotImplementedError
 
     def write(self, writer: Writer, key: str, rows: Sequence) -> None:
-        """Sends rows, one for each of the writer's times; None where none was due."""
+        """Sends rows, one for each of the writer's times; a row is None if none was due."""
         raise NotImplementedError
 
 
@@ -50,17 +50,17 @@ class SignalSpec(Spec):
     """Records a vector output port as time series, one per element.
 
     Attributes:
-        port: of any system of the diagram; or several ports, whose values are concatenated.
-        names: one per element. Elements that share the part before the last slash share a plot:
+        port: port of any system of the diagram, or several ports, whose values are concatenated.
+        names: name of each element. Elements with the same part before the last slash share a plot, such as
             "index/joint_0".
         label: added to each name in the plot, such as "command".
-        faint: drawn thin and pale.
-        title: of the plot; by default the part of the names before the slash. Signals with the same title
-            and unit share a plot.
+        faint: whether to draw thin and pale lines.
+        title: title of the plot; by default the part of the names before the last slash. Signals with the
+            same title and unit share a plot.
         unit: added to the title.
-        page: the tab with the plot.
+        page: name of the tab with the plot.
         limits: lowest and highest value of the plot; by default those of the data.
-        colors: one per element; by default a palette.
+        colors: colour of each element; by default from a palette.
         derive: computes the elements from the ports' values when the recording is written.
     """
 
@@ -93,7 +93,7 @@ class SignalSpec(Spec):
         return {f"{key}/{i}" if len(ports) > 1 else key: port for i, port in enumerate(ports)}
 
     def plots(self, key: str) -> dict[str, tuple[str, list[int]]]:
-        """Entity path of each group of series → title of its plot, and indices of its elements."""
+        """Returns entity path → title of the plot and indices of the elements, for each group of series."""
         plots: dict[str, tuple[str, list[int]]] = {}
         for i, name in enumerate(self.names):
             group = name.rpartition("/")[0]
@@ -118,9 +118,10 @@ class SignalSpec(Spec):
 
 @dataclass(frozen=True)
 class StateSpec(Spec):
-    """Records a port of size 1 with an integer code as a lane of named states.
+    """Records a port with an integer code as a lane of named states.
 
     Attributes:
+        port: vector output port of size 1.
         labels: names of the codes 0, 1, ...
     """
 
@@ -140,13 +141,14 @@ class StateSpec(Spec):
 
 @dataclass(frozen=True)
 class HandSpec(Spec):
-    """Records a human hand as measured by a glove and a tracker: rows p_WK (21, 3), NaN where it is lost.
+    """Records a human hand from a glove and a tracker, in rows p_WK (21, 3), m; NaN while it is lost.
 
     Attributes:
-        keypoints_port: 63 numbers, p_HK, keypoint-major, m.
-        wrist_pose_port: abstract `RigidTransform`, X_OH in the tracker's frame O.
-        valid_port: size 1; the hand is drawn where the value exceeds 0.5. Without the port, always.
-        color: of the skin.
+        keypoints_port: vector output port with p_HK (63), keypoint-major, m.
+        wrist_pose_port: abstract `RigidTransform` output port with X_OH in the tracker's frame O.
+        valid_port: vector output port of size 1; the hand is drawn if the value exceeds 0.5. None always
+            draws it.
+        color: colour of the skin.
         X_WO: pose of the tracker's frame in the world.
     """
 
@@ -182,14 +184,14 @@ class HandSpec(Spec):
 
 @dataclass(frozen=True)
 class PointsSpec(Spec):
-    """Records a vector output port of 3k coordinates as k spheres; points with a NaN are not drawn.
+    """Records a vector output port of 3k coordinates as k points; points with a NaN are not drawn.
 
     Attributes:
         port: vector output port, point-major, m.
         frame: frame of the plant in which the coordinates are measured; by default the world.
-        radius: m.
-        color: one for all points, or one per point; an opacity below 255 makes them translucent.
-        trail: how much of the past is shown, s; `math.inf` for all of it.
+        radius: radius of the points, m.
+        color: colour of all points, or of each; an opacity below 255 draws translucent spheres.
+        trail: duration of the past that is shown, s; `math.inf` shows all of it.
         start: time of the first valid value, s.
         derive: computes coordinates from the port's values; see `SignalSpec`.
     """
@@ -243,10 +245,10 @@ class CloseUpSpec:
     """An additional view of the scene that follows a frame.
 
     Attributes:
-        follows: frame F of the plant; or the key of a human hand, which the view shows alone, with the
-            wrist frame H as F.
-        eye, target: eye point and target point, m, in F.
-        see_through: bodies that this view shows translucent.
+        follows: frame F of the plant; or the key of a human hand, which is then shown alone, with its wrist
+            frame H as F.
+        eye, target: eye point and target point in F, m.
+        see_through: bodies that are translucent in this view.
     """
 
     follows: Frame | str
@@ -256,24 +258,24 @@ class CloseUpSpec:
 
 
 def body_and_pose(frame: Frame) -> tuple[int, RigidTransform]:
-    """Index of the body that carries a frame F, and X_BF."""
+    """Returns the index of the body that carries a frame F, and X_BF."""
     return int(frame.body().index()), frame.GetFixedPoseInBodyFrame()
 
 
 def port_name(port: OutputPort) -> str:
-    """A port and its system, for messages."""
+    """Names a port and its system in messages."""
     system: Any = port.get_system()
     return f"port '{port.get_name()}' of '{system.get_name()}'"
 
 
 def _derived(derive: Derive | None, rows: Sequence[np.ndarray], size: int) -> np.ndarray:
-    """The recorded values (T, n) of rows; `derive` is not called without rows."""
+    """Returns the recorded values (T, n) of rows; does not call `derive` without rows."""
     values = np.array(rows, dtype=float)
     return (derive(values) if derive is not None and len(rows) else values).reshape(len(rows), size)
 
 
 def _vector_size(key: str, port: OutputPort, expected: int | None = None) -> int:
-    """The size of a vector port; raises ScenarioError if it differs from `expected`."""
+    """Returns the size of a vector port; raises ScenarioError for an abstract port or another size."""
     if port.get_data_type() != PortDataType.kVectorValued:
         raise ScenarioError(f"recording of '{key}': {port_name(port)} is abstract; expected a vector port")
     if expected is not None and port.size() != expected:

@@ -1,4 +1,4 @@
-"""Rerun streams to a file, written atomically, and to open viewers."""
+"""Opens Rerun streams to a file, written atomically, and to viewers."""
 
 import contextlib
 import os
@@ -15,7 +15,7 @@ from geort_drake.rerun.writer import TIMELINE, Writer
 
 _APPLICATION = "geort_drake"  # recordings of one application share a layout in the viewer
 Property = str | int | float | bool
-# A viewer that listens, and a server to which viewers connect.
+# A listening viewer, or a server to which viewers connect.
 Viewer = rr.GrpcSink | rr.GrpcServerSink
 
 
@@ -29,13 +29,13 @@ def file_writer(
     properties: Mapping[str, Property] | None = None,
     timeline: str = TIMELINE,
 ) -> Iterator[Writer]:
-    """Opens a `Writer` to an .rrd file; the file appears when the block ends without an error.
+    """Opens a `Writer` to an .rrd file, which appears when the block ends without an error.
 
     The data stay in memory until then. Equal data give equal columns; log times are left out. With the
     environment variable RERUN=off no file is written, and a warning says so.
 
     Raises:
-        OutputError: the disk is full, or the place is not writable.
+        OutputError: the disk is full, or the folder is not writable.
     """
     path = Path(path)
     stream = _stream(application_id, recording_id)
@@ -63,7 +63,7 @@ def live_writer(
     name: str,
     properties: Mapping[str, Property],
 ) -> Writer:
-    """A writer that sends data to open viewers."""
+    """Opens a writer that sends data to viewers."""
     stream = _stream(_APPLICATION, None)
     stream.set_sinks(*viewers, default_blueprint=blueprint)
     _send_properties(stream, name, properties)
@@ -80,7 +80,7 @@ def _stream(application_id: str, recording_id: str | None) -> rr.RecordingStream
 def _send_properties(stream: rr.RecordingStream, name: str, properties: Mapping[str, Property]) -> None:
     stream.send_recording_name(name)
     if properties:
-        # Typed arrays, because Rerun keeps the first type of each name for the whole process.
+        # Arrays have explicit types, because Rerun keeps the first type of each name in a process.
         stream.send_property(
             "run", rr.AnyValues(**{key: pa.array([value]) for key, value in properties.items()})
         )

@@ -1,4 +1,4 @@
-"""`Writer`: arrays over time as Rerun entities, such as poses, time series, points and human hands."""
+"""`Writer` sends arrays over time as Rerun entities: poses, time series, points, human hands and others."""
 
 import warnings
 from collections.abc import Sequence
@@ -14,35 +14,35 @@ from geort_drake.colours import FINGER_COLOURS, Color, rgb
 from geort_drake.people.keypoints import BONES, TIP_KEYPOINT, wrist_pose
 
 TIMELINE = "sim_time"  # s
-STEPS = "step"  # of a training
+STEPS = "step"  # steps of a training
 FLUSH_TIMEOUT = 5.0  # s; a viewer that was closed must not block the simulation
 WORLD = "world"
 HAND_FRAME = "wrist"  # entity below a human hand with the pose of its wrist frame
 SOLID, CAGE = rr.components.FillMode.Solid, rr.components.FillMode.MajorWireframe
-# Matplotlib's "tab10", which colour-blind readers can tell apart, too.
+# Matplotlib's "tab10", which colour-blind readers can tell apart as well.
 PALETTE: tuple[Color, ...] = tuple(
     rgb(f"#{color}")
     for color in "1f77b4 ff7f0e 2ca02c d62728 9467bd 8c564b e377c2 7f7f7f bcbd22 17becf".split()
 )
-# One colour for all items, or (k, 3 or 4) for the k items of each row.
+# One colour for all items, or for each row an array (k, 3 or 4) for its k items.
 Colors = Color | Sequence[np.ndarray]
 
 _BONE_RADII = np.tile([0.007, 0.0085, 0.0075, 0.0065], 5)  # of an average hand, base to tip, m
 
 
 def entity_path(*keys: str) -> str:
-    """An entity path of keys that may themselves contain slashes; special characters are escaped."""
+    """Joins keys, which may contain slashes, to an entity path; escapes special characters."""
     return "/" + "/".join(rr.escape_entity_path_part(part) for key in keys for part in key.split("/") if part)
 
 
 class Writer:
-    """Sends arrays to one recording, one row for each of its `times`, in one batch or several.
+    """Sends arrays to a recording in one or several batches, with one row for each of `times`.
 
     Malformed data raise an error instead of being dropped.
 
     Attributes:
-        times: (T,) of the rows that are sent next: s as floats, or steps as integers.
-        memory: state kept from one batch to the next.
+        times: (T,) times of the rows that are sent next: s as floats, or steps as integers.
+        memory: state that is kept between batches.
     """
 
     def __init__(self, stream: rr.RecordingStream, timeline: str = TIMELINE):
@@ -59,13 +59,13 @@ class Writer:
         return self
 
     def static(self, path: str, archetype: rr.AsComponents) -> None:
-        """Sends data without a time; further data of the same kind for that path are ignored."""
+        """Sends data without a time; ignores further data of the same kind for the path."""
         if (path, type(archetype)) not in self._sent:
             self._sent.add((path, type(archetype)))
             self._stream.log(path, archetype, static=True, strict=True)
 
     def columns(self, path: str, columns: rr.ComponentColumnList, rows: np.ndarray | None = None) -> None:
-        """Sends one entry per time; with `rows`, a mask or indices, one per time that it selects."""
+        """Sends one entry per time, or per time that `rows`, a mask or indices, selects."""
         index = self._all_times if rows is None else self._column(self.times[rows])
         if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
@@ -75,7 +75,7 @@ class Writer:
         self.static(path, rr.TextDocument(markdown, media_type="text/markdown"))
 
     def poses(self, paths: Sequence[str], X: np.ndarray) -> None:
-        """Sends poses X (T, B, 3, 4) of B entities in their parents' frames; any with a NaN is left out."""
+        """Sends poses X (T, B, 3, 4) of B entities in their parents' frames, m, except those with a NaN."""
         finite = np.isfinite(X).all(axis=(2, 3))
         X = np.where(finite[..., None, None], X, np.eye(3, 4))
         translations = X[..., 3].astype(np.float32)
@@ -110,7 +110,7 @@ class Writer:
         labels: Sequence[str],
         colors: Sequence[Color] = PALETTE,
     ) -> None:
-        """Sends codes (T,) as a lane of states, named by `labels`, where they change."""
+        """Sends the changes of codes (T,) as a lane of states, named by `labels`."""
         names = list(labels)
         shades = [colors[i % len(colors)] for i in range(len(names))]
         self.static(path, rr.StateConfiguration(values=names, labels=names, colors=shades))
@@ -128,10 +128,10 @@ class Writer:
         colors: Colors,
         fill: rr.components.FillMode | None = None,
     ) -> None:
-        """Sends points (k, 3), m, where k may change from time to time.
+        """Sends rows of points (k, 3), m, where k may vary between rows.
 
         Args:
-            fill: SOLID or CAGE for spheres, which can be translucent; by default dots, which are opaque.
+            fill: SOLID or CAGE for spheres, which can be translucent; by default opaque dots.
         """
         if fill is None:
             self._items(path, Points3D, {"positions": _stack(rows)}, {"radii": [radius]}, rows, colors)
@@ -142,7 +142,7 @@ class Writer:
             self._items(path, rr.Ellipsoids3D, spheres, style, rows, colors)
 
     def lines(self, path: str, rows: Sequence[np.ndarray], radius: float, colors: Colors) -> None:
-        """Sends line segments (k, 2, 3), m, where k may change from time to time."""
+        """Sends rows of line segments (k, 2, 3), m, where k may vary between rows."""
         self._items(path, LineStrips3D, {"strips": _stack(rows)}, {"radii": [radius]}, rows, colors)
 
     def _items(
@@ -168,12 +168,12 @@ class Writer:
     def human_hand(self, path: str, p_WK: np.ndarray, color: Color) -> None:
         """Sends a human hand of keypoints p_WK (T, 21, 3), m; hands with a NaN are not drawn.
 
-        Bones are capsules, joints spheres, fingertips spheres in the colours of the fingers.
+        Bones are capsules and joints are spheres; fingertips have the colours of the fingers.
         """
         bones, points = f"{path}/bones", f"{path}/keypoints"
         skin = np.array(color)
         self.static(bones, rr.Capsules3D.from_fields(radii=_BONE_RADII, colors=[skin], fill_mode=SOLID))
-        # Joints stand out from the skin a little, and are darker.
+        # Joints stand out slightly from the skin and are darker.
         radii = np.r_[0.011, 1.08 * _BONE_RADII.reshape(5, 4)[:, [1, 2, 3, 3]].ravel()]
         colors = np.tile((0.72 * skin).astype(np.uint8), (21, 1))
         for finger, tip in TIP_KEYPOINT.items():
@@ -210,12 +210,12 @@ class Writer:
 
 
 def transform(X: RigidTransform) -> rr.Transform3D:
-    """A pose without a time."""
+    """Converts a pose to Rerun's transform."""
     return rr.Transform3D(translation=X.translation(), quaternion=rr.Quaternion(xyzw=xyzw(X)))
 
 
 def xyzw(X: RigidTransform) -> np.ndarray:
-    """The rotation as a quaternion in Rerun's order."""
+    """Returns the rotation as a quaternion xyzw, Rerun's order."""
     return np.roll(X.rotation().ToQuaternion().wxyz(), -1)
 
 
@@ -224,7 +224,7 @@ def _stack(rows: Sequence) -> np.ndarray:
 
 
 def _rotate_z_to(directions: np.ndarray) -> np.ndarray:
-    """Smallest rotations (n, 4), xyzw, that rotate the z axis to the directions (n, 3)."""
+    """Returns the smallest rotations (n, 4), xyzw, from the z axis to the directions (n, 3)."""
     length = np.maximum(np.linalg.norm(directions, axis=1), 1e-12)
     x, y, z = (directions / length[:, None]).T
     turns = np.stack([-y, x, np.zeros_like(x), 1 + z], axis=1)
