@@ -1,1 +1,1 @@
-"""Parquet, LeRobot datasets and Rerun recordings of hands."""
+"""Exports episodes as Parquet and LeRobot datasets, and hands as Rerun recordings."""

@@ -1,4 +1,4 @@
-"""Episodes: recordings with all signals of the glove and the robot at common times."""
+"""Episodes: recordings of all signals of the glove and the robot at common times."""
 
 import dataclasses
 import json
@@ -21,19 +21,19 @@ RESULTS, SCENARIO = "results.json", "scenario.yaml"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Episode:
-    """One recording from beginning to end. Names of signals, states and poses are entity paths with dots.
+    """A recording from beginning to end. Names of signals, states and poses are entity paths with dots.
 
     Attributes:
-        name: of the recording, such as "cylinder-0".
-        t: (T,) s from 0, increasing.
+        name: name of the recording, such as "cylinder-0".
+        t: (T,) increasing times from 0, s.
         glove: the human hand, sampled at `t`.
-        signals: (T,) each, such as "joints.command.thumb.joint_12"; joint angles in rad, forces in N.
-        states: (T,) each, the state's name.
-        poses: X_WB (T, 7) of every moving body, qw qx qy qz x y z.
-        facts: about the whole episode, JSON types; of a trial, its entry in results.json, and the metadata of
-            the session that it replays.
+        signals: name, such as "joints.command.thumb.joint_12" → (T,) joint angles in rad or forces in N.
+        states: name → (T,) names of the state.
+        poses: name → X_WB (T, 7) of each moving body as qw qx qy qz x y z, m.
+        facts: facts about the whole episode, JSON types only. For a trial, its entry in results.json and the
+            metadata of the session that it replays.
         robot: name of the robot hand; None without a robot.
-        carrier: model between arm and hand, such as an adapter; empty without one.
+        carrier: model between arm and hand, such as an adapter; empty if there is none.
     """
 
     name: str
@@ -48,27 +48,27 @@ class Episode:
 
     @property
     def command_names(self) -> list[str]:
-        """The signals with joint commands."""
+        """Names of the signals with joint commands."""
         return [name for name in self.signals if name.split(".")[1:2] == ["command"]]
 
     @property
     def measured_names(self) -> list[str]:
-        """The signals with measured joint positions."""
+        """Names of the signals with measured joint positions."""
         return [name for name in self.signals if name.split(".")[1:2] == ["measured"]]
 
     @property
     def hand_pose(self) -> np.ndarray | None:
-        """X_WB (T, 7) of the robot hand's first moving body; None on a fixed base."""
+        """X_WB (T, 7) of the robot hand's first moving body; None for a fixed base."""
         return next((X_WB for name, X_WB in self.poses.items() if name.partition(".")[0] == HAND), None)
 
     @property
     def handled_poses(self) -> dict[str, np.ndarray]:
-        """The poses of bodies that are not the robot's."""
+        """Poses of the bodies that do not belong to the robot."""
         robot = (ARM, HAND, self.carrier)
         return {name: X for name, X in self.poses.items() if name.partition(".")[0] not in robot}
 
     def resampled(self, t: np.ndarray) -> "Episode":
-        """The episode at other times (T,), s, each with the latest sample before it."""
+        """Returns the episode resampled at times (T,), s, each with the latest sample up to then."""
         rows = newest(self.t, t)
         return dataclasses.replace(
             self,
@@ -81,7 +81,7 @@ class Episode:
 
 
 def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
-    """The trials of a run, a folder that geort-drake grasp wrote.
+    """Reads the trials of a run, a folder that geort-drake grasp wrote.
 
     Raises:
         RecordingError: the folder is no such run, or a file of a trial is missing.
@@ -111,13 +111,13 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
     for name, facts in zip(names, trials, strict=True):
         samples = read_samples(folder / f"{name}.rrd")
         glove = Recording.load(folder / f"{name}.glove.npz").at(samples.t)
-        # The person's hand is drawn beside the robot's, and is no body.
+        # The person's hand is drawn next to the robot's, but is no body.
         bodies = {body: X for body, X in samples.poses.items() if body.partition(".")[0] != HUMAN}
         yield Episode(name, samples.t, glove, samples.signals, samples.states, bodies, facts, robot, carrier)
 
 
 def episode_of(recording: Recording, name: str) -> Episode:
-    """A recording of a hand, and of the joints of a real robot if it has them."""
+    """Makes an episode of a recording of a hand, with the joints of a real robot if it has them."""
     recording = dataclasses.replace(recording, t=recording.t - recording.t[0])
     facts, signals = recording.metadata, {}
     if recording.robot is not None:

@@ -1,4 +1,4 @@
-"""Rerun recordings of one hand: a person's, or a robot hand that moves joint by joint."""
+"""Writes Rerun recordings of one hand: a person's, or a robot hand that moves joint by joint."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -15,7 +15,7 @@ from geort_drake.rerun.scene import write_robot_hand
 from geort_drake.rerun.streams import file_writer
 from geort_drake.rerun.writer import SOLID, LineStrips3D, Writer, entity_path
 
-_RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second, and for each joint
+_RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second and per joint
 _AXES = {"x": (230, 60, 60), "y": (60, 180, 60), "z": (60, 90, 230)}
 _AXIS_LENGTH = 0.12  # m
 
@@ -29,10 +29,10 @@ def write_hand(
     """Writes a hand in its wrist frame H, the gaps between thumb and fingertips, and a robot's joints.
 
     Args:
-        recording: of the hand.
-        path: .rrd to write.
-        fps: frames per second; each contains the latest sample.
-        states: name of a lane → state in each frame of the recording.
+        recording: recording of the hand.
+        path: .rrd file to write.
+        fps: frames per second; each frame contains the latest sample.
+        states: name of each lane → state in each frame of the recording.
     """
     t = recording.t - recording.t[0]
     times = np.arange(int(t[-1] * fps + 1e-6) + 1) / fps
@@ -70,7 +70,7 @@ def write_hand(
 
 
 def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
-    """Writes a robot hand in which each joint goes through its range, with its fingertips and its base frame.
+    """Writes a robot hand that moves each joint through its range, with its fingertips and base frame.
 
     The base's axes are x red, y green, z blue.
     """
@@ -95,14 +95,14 @@ def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
         line = [[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]]
         writer.static(f"/world/hand_base/{axis}", LineStrips3D(line, radii=0.002, colors=[color]))
     for number, finger in enumerate(hand.description.fingers):
-        # Translucent, around the tip that the model draws.
+        # A translucent sphere around the tip that the model draws.
         translucent = (*rgb(FINGER_COLOURS[finger.name]), 130)
         rows = list(tips[:, [number]])
         writer.points(f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, translucent, SOLID)
 
 
 def _sweep(hand: HandModel) -> np.ndarray:
-    """(N, n) postures: from the start, each joint to its lower limit, to its upper one, and back."""
+    """Makes postures (N, n), rad: each joint moves from the start to its lower and upper limit and back."""
     start = hand.default_position
     postures = [start[None]]
     for joint, (low, high) in enumerate(zip(hand.lower, hand.upper, strict=True)):

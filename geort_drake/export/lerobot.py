@@ -1,7 +1,7 @@
-"""Episodes as a LeRobot dataset, codebase version 3.0, each in a file of its own.
+"""Writes episodes as a LeRobot dataset, codebase version 3.0, with a file for each.
 
-The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3. LeRobot's own writer is not used
-because its package requires about a hundred others and pins old versions of torch and Rerun.
+The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3. It does not use
+LeRobot's own writer, whose package requires about a hundred others and pins old versions of torch and Rerun.
 """
 
 import json
@@ -27,23 +27,23 @@ _FILES_PER_CHUNK = 1000
 _QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _POSE = ["qw", "qx", "qy", "qz", "x", "y", "z"]
 _KEYPOINTS = [f"{axis}{keypoint}" for keypoint in range(21) for axis in "xyz"]
-# Name → values (T, n), and names of the n numbers.
+# Name → values (T, n), and names of the n numbers or None.
 Features = dict[str, tuple[np.ndarray, list[str] | None]]
 
 
 def write_lerobot(
     episodes: Iterable[Episode], output: str | os.PathLike, fps: int | None = None
 ) -> Iterator[str]:
-    """Writes a dataset, whole or not at all, and yields the name of each finished episode.
+    """Writes a dataset atomically and yields the name of each finished episode.
 
     Args:
-        episodes: of one robot.
-        output: the dataset's folder.
+        episodes: episodes of the same robot.
+        output: path of the dataset's folder.
         fps: frames per second; by default the rate of the first episode. Each frame contains the latest
             sample.
 
     Raises:
-        RecordingError: an episode has no robot, or other joints than the first.
+        RecordingError: an episode has no robot, or other features than the first.
         OutputError: `output` exists and is no dataset.
     """
     check_replaceable(output, INFO)
@@ -59,7 +59,7 @@ def write_lerobot(
             frames = int(recorded.t[-1] * fps + 1e-6) + 1
             episode = recorded.resampled(np.arange(frames) / fps)
             features = features_of(episode)
-            task = "teleoperate the robot"  # a real one, whose objects nobody knows
+            task = "teleoperate the robot"  # a real robot, whose objects are unknown
             if "object" in episode.facts:
                 task = f"grasp the {str(episode.facts['object']).replace('_', ' ')}"
             if episode.facts.get("task", "grasp") != "grasp":
@@ -135,7 +135,7 @@ def write_lerobot(
 
 
 def features_of(episode: Episode) -> Features:
-    """Observations and actions of a policy.
+    """Returns the observations and actions for a policy.
 
     Raises:
         RecordingError: the episode has no commands or no measured joints.
@@ -143,8 +143,8 @@ def features_of(episode: Episode) -> Features:
     commands, measured = episode.command_names, episode.measured_names
     if not (commands and measured):
         raise RecordingError(
-            f"{episode.name}: this recording has no robot: export it as Parquet; a LeRobot dataset needs a "
-            "robot's commands and measured joint positions"
+            f"{episode.name}: this recording has no robot, so export it as Parquet; a LeRobot dataset needs "
+            "a robot's commands and measured joint positions"
         )
     frames = len(episode.t)
     last = np.arange(frames) == frames - 1
@@ -179,12 +179,12 @@ def _table(episode: Episode, names: list[str]) -> np.ndarray:
 
 
 def _column(values: np.ndarray) -> pa.Array:
-    """Scalars for a feature of size 1, else lists."""
+    """Makes a column of scalars for a feature of size 1, else of lists."""
     return pa.array(values[:, 0]) if values.shape[1] == 1 else rows(values)
 
 
 def _statistics(values: np.ndarray) -> dict[str, list]:
-    """LeRobot's statistics of values (T, n): a list of n for each; the count is one number."""
+    """Computes LeRobot's statistics of values (T, n): lists of n numbers, and a single count."""
     numbers = values.astype(float)
     quantiles = np.quantile(numbers, list(_QUANTILES.values()), axis=0)
     return {
@@ -198,7 +198,7 @@ def _statistics(values: np.ndarray) -> dict[str, list]:
 
 
 def _task_table(tasks: list[str]) -> pa.Table:
-    """The table of tasks; its metadata make pandas use the column "task" as the index."""
+    """Makes the table of tasks; its metadata make pandas use the column "task" as the index."""
     types = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
     pandas = {
         "index_columns": ["task"],

@@ -1,7 +1,7 @@
-"""Episodes as Parquet files: frames/NAME.parquet, a row per sample; episodes.parquet, a row per episode.
+"""Writes episodes as Parquet: a row per sample in frames/NAME.parquet, a row per episode in episodes.parquet.
 
 All files in frames/ have the same columns, because readers of a folder take the columns of its first file.
-What an episode lacks, such as the pose of another episode's object, is null.
+Data that an episode lacks, such as the pose of another episode's object, are null.
 """
 
 import json
@@ -21,10 +21,10 @@ FRAMES, EPISODES = "frames", "episodes.parquet"
 
 
 def write_parquet(episodes: Iterable[Episode], output: str | os.PathLike) -> Iterator[str]:
-    """Writes a folder, whole or not at all, and yields the name of each finished episode.
+    """Writes a folder atomically and yields the name of each finished episode.
 
     Raises:
-        OutputError: `output` exists and is no earlier export.
+        OutputError: `output` exists and is not an earlier export.
     """
     check_replaceable(output, EPISODES)
     with atomic_directory(output) as draft:
@@ -32,7 +32,7 @@ def write_parquet(episodes: Iterable[Episode], output: str | os.PathLike) -> Ite
         lines = []
         for episode in episodes:
             pq.write_table(frame_table(episode), draft / FRAMES / f"{episode.name}.parquet")
-            # Nested facts differ from trial to trial, but a column has one type.
+            # Nested facts differ between trials, but a column has one type.
             facts = {
                 key: json.dumps(value) if isinstance(value, dict | list) else value
                 for key, value in episode.facts.items()
@@ -44,7 +44,7 @@ def write_parquet(episodes: Iterable[Episode], output: str | os.PathLike) -> Ite
 
 
 def frame_table(episode: Episode) -> pa.Table:
-    """The episode's samples; keypoints and poses of frames without a tracked hand are null."""
+    """Returns the episode's samples; the glove's keypoints and poses are null while the hand is lost."""
     lost = ~episode.glove.valid
     columns: dict[str, pa.Array] = {
         "episode": pa.array([episode.name] * len(episode.t)).dictionary_encode(),
@@ -56,13 +56,13 @@ def frame_table(episode: Episode) -> pa.Table:
         columns["glove.X_WH"] = rows(episode.glove.X_WH, lost)
     columns |= {name: pa.array(values) for name, values in episode.signals.items()}
     columns |= {f"state.{name}": pa.array(values) for name, values in episode.states.items()}
-    never = np.zeros(len(episode.t), bool)  # missing; but in other files, these columns are null
-    columns |= {f"pose.{name}": rows(values, never) for name, values in episode.poses.items()}
+    none_missing = np.zeros(len(episode.t), bool)  # these columns are null in other files
+    columns |= {f"pose.{name}": rows(values, none_missing) for name, values in episode.poses.items()}
     return pa.table(columns)
 
 
 def _unify_columns(files: list[Path]) -> None:
-    """Adds to each file, as nulls, the columns that only others have."""
+    """Adds columns of nulls to each file for the columns that only others have."""
     schema = pa.unify_schemas([pq.read_schema(file) for file in files])
     for file in files:
         if pq.read_schema(file).names != schema.names:
@@ -71,17 +71,17 @@ def _unify_columns(files: list[Path]) -> None:
 
 
 def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:
-    """A list of n numbers per row of values (T, n); null where `missing`."""
+    """Makes a list of n numbers per row of values (T, n); null where `missing` (T,)."""
     n = values.shape[1]
     if missing is None:
         return pa.FixedSizeListArray.from_arrays(pa.array(np.ascontiguousarray(values).ravel()), n)
-    # Before version 26, Arrow cannot store nulls among lists of fixed size.
+    # Arrow before version 26 cannot store nulls among lists of fixed size.
     ends = np.cumsum(np.where(missing, 0, n), dtype=np.int32)
     flat = pa.array(np.ascontiguousarray(values[~missing]).ravel())
     return pa.ListArray.from_arrays(pa.array(np.append(np.int32(0), ends)), flat, mask=pa.array(missing))
 
 
 def check_replaceable(output: str | os.PathLike, mark: str) -> None:
-    """Raises OutputError unless `output` may become an export; `mark` is a file of each export."""
+    """Raises OutputError if `output` exists and is not an export, which contains the file `mark`."""
     if not is_replaceable(output, mark):
         raise OutputError(f"{output} exists and is not an earlier export; choose another name")
