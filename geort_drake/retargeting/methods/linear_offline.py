@@ -37,8 +37,7 @@ def train_linear_offline(
 ) -> TrainingResult:
     """Trains per-finger networks to minimise mean |α v_H − v_R|² + ε |(q − mid) / half range|².
 
-    v are the vectors from the wrist to each fingertip, in units of 0.1 m. Robot samples are ignored. See
-    `TrainedMethod.train`.
+    v are vectors from the wrist to the fingertips, in 0.1 m; q of the data is unused. See `TrainedMethod`.
     """
     import torch
 
