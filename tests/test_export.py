@@ -221,7 +221,7 @@ def test_incomplete_runs_are_refused(run, tmp_path, spoil, message):
 def test_unsuitable_exports_are_refused(run, tmp_path):
     """No robot in a LeRobot dataset, other joints in the same dataset, another folder in its place."""
     play = synthesize_play(0, 2.0, 30.0)
-    with pytest.raises(RecordingError, match="no robot: export it as Parquet"):
+    with pytest.raises(RecordingError, match="no robot, so export it as Parquet"):
         list(write_lerobot([episode_of(play, "play")], tmp_path / "out"))
     first, second = read_episodes(run)
     del second.signals[second.command_names[0]]
