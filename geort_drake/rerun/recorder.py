@@ -105,8 +105,7 @@ class RerunRecorder(LeafSystem):
     def close(self) -> None:
         """Flushes and stops recording; closing again has no effect.
 
-        If flushing fails, recording goes on and `close` can be called again, but the end of the process no
-        longer calls it.
+        If flushing fails, recording goes on; `close` can be called again, but not by the end of the process.
         """
         if self._closed:
             return
