@@ -111,10 +111,10 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def locked(folder: str | os.PathLike) -> Iterator[None]:
-    """Makes a folder when needed, and keeps other processes from locking it.
+    """Creates a folder if needed, and locks it against other processes for the duration of a block.
 
     Raises:
-        OutputError: another process has locked it, or it cannot be made.
+        OutputError: another process has locked the folder, or it cannot be created.
     """
     with writing(folder):
         Path(folder).mkdir(parents=True, exist_ok=True)

@@ -51,13 +51,13 @@ def call_in_workers(
         with parallel_config(backend=backend, n_jobs=jobs, **options), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             order = "generator" if ordered else "generator_unordered"
-            for some in [tasks] if backend == "ray" else _batches(tasks, TASKS_PER_WORKER * jobs):
+            for batch in [tasks] if backend == "ray" else _batches(tasks, TASKS_PER_WORKER * jobs):
                 if jobs == 1:
-                    yield from _one_by_one(some)
+                    yield from _one_by_one(batch)
                     continue
                 # Tasks are long and their arguments small: dispatch singly, without memory-mapped files.
                 parallel = Parallel(batch_size=1, max_nbytes=None, return_as=order)
-                yield from parallel(delayed(_call)(*task) for task in some)
+                yield from parallel(delayed(_call)(*task) for task in batch)
                 if backend != "ray":
                     get_reusable_executor(reuse=True).shutdown()
     except BrokenExecutor as error:

@@ -47,8 +47,8 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
         for kind, figures in kinds.items():
             if figures["refused"]:
                 warn(f"{task}, left out, as the hand cannot do it: {', '.join(figures['refused'])}")
-            for method, of in figures["methods"].items():
-                score, share = of["score"], of["success"]
+            for method, result in figures["methods"].items():
+                score, share = result["score"], result["success"]
                 if share["trials"]:
                     bounds = "–" if score["low"] is None else f"{score['low']:.2f}–{score['high']:.2f}"
                     done = f"{share['successes']} of {share['trials']}"
@@ -65,39 +65,39 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
 def _rows(summary: dict) -> Iterator[list[str]]:
     """Yields a row per method."""
     for name, entry in summary["methods"].items():
-        of = entry["overall"]
-        once, success = of["first_attempt_success"], of["success"]
-        if not once["trials"]:
+        overall = entry["overall"]
+        first_attempt, success = overall["first_attempt_success"], overall["success"]
+        if not first_attempt["trials"]:
             yield [name, *["–"] * 6]
             continue
-        against = summary["differences"].get(name, {}).get("overall", {}).get("first_attempt_success", {})
+        difference = summary["differences"].get(name, {}).get("overall", {}).get("first_attempt_success", {})
         yield [
             name,
-            f"{once['successes']} of {once['trials']}",
-            f"{100 * once['low']:.0f}–{100 * once['high']:.0f} %",
+            f"{first_attempt['successes']} of {first_attempt['trials']}",
+            f"{100 * first_attempt['low']:.0f}–{100 * first_attempt['high']:.0f} %",
             f"{100 * success['rate']:.0f} %",
-            f"{100 * of['tip_success']['rate']:.0f} %",
-            f"{of['completion_time_s']['restricted_mean']['mean']:.1f} s",
-            "–" if against.get("mean") is None else f"{100 * against['mean']:+.0f}",
+            f"{100 * overall['tip_success']['rate']:.0f} %",
+            f"{overall['completion_time_s']['restricted_mean']['mean']:.1f} s",
+            "–" if difference.get("mean") is None else f"{100 * difference['mean']:+.0f}",
         ]
 
 
 def _people_rows(summary: dict) -> Iterator[list[str]]:
     """Yields a row per map of real people and per method of the simulated person."""
-    rows = {f"{of['persons']} people, {name}": of for name, of in summary["people"].items()}
-    rows |= {f"simulated, {name}": of for name, of in summary["simulated"].items()}
+    rows = {f"{figures['persons']} people, {name}": figures for name, figures in summary["people"].items()}
+    rows |= {f"simulated, {name}": figures for name, figures in summary["simulated"].items()}
 
     def mean(value: dict, form: str) -> str:
         return "–" if value["mean"] is None else form.format(value["mean"])
 
-    for name, of in rows.items():
-        success = of["success"]
+    for name, figures in rows.items():
+        success = figures["success"]
         yield [
             name,
             f"{success['successes']} of {success['trials']}",
             f"{100 * success['low']:.0f}–{100 * success['high']:.0f} %",
-            mean(of["completion_time"], "{:.1f} s"),
-            mean(of["wrist_speed"], "{:.2f} m/s"),
-            mean(of["fingertip_speed"], "{:.2f} m/s"),
-            mean(of["movements"], "{:.1f}"),
+            mean(figures["completion_time"], "{:.1f} s"),
+            mean(figures["wrist_speed"], "{:.2f} m/s"),
+            mean(figures["fingertip_speed"], "{:.2f} m/s"),
+            mean(figures["movements"], "{:.1f}"),
         ]

@@ -146,7 +146,7 @@ def run(arguments: argparse.Namespace) -> int:
             def show(t: float, done: int = done, stem: str = stem) -> None:
                 update(done, len(scenarios), f"{stem}: {t:.1f} s simulated")
 
-            # Where it stays if the trial is interrupted, so that it never replaces that of a whole trial.
+            # The recording of an interrupted trial stays here, so that it never replaces a complete one.
             recorded = arguments.output / "interrupted" / f"{stem}.rrd"
             result, glove = run_trial(
                 scenario,

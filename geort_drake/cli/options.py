@@ -31,7 +31,7 @@ DEFAULT_METHOD = "geort_coupled"
 DEFAULT_SCENARIO = "Grasp"
 SHIPPED_METHOD = "universal"
 STDOUT = Path("-")
-# A file that only these commands write → the commands.
+# File in a results folder → the only commands that write it.
 _MARKS = {
     "results.json": "grasp",
     "trials.jsonl": "benchmark or replay",
@@ -81,7 +81,7 @@ class CommandParser(argparse.ArgumentParser):
         self.add_argument("--json", nargs="?", type=_json_file, const=STDOUT, metavar="FILE", help=text)
 
     def add_output(self, default: str, mark: str) -> None:
-        """Adds --output, a folder for the results, of which `mark` is a file."""
+        """Adds --output, a folder for the results; `mark` is the file in it that the command writes."""
         kind = _results_folder(mark)
         self.add_argument("--output", type=kind, default=default, help="folder for the results")
 
@@ -186,7 +186,7 @@ def output_folder(text: str) -> Path:
 
 
 def _results_folder(mark: str) -> Callable[[str], Path]:
-    """Makes the type of a folder that must not contain another command's results (else OutputError)."""
+    """Returns the type of a folder without results of other commands (else OutputError)."""
 
     def path(text: str) -> Path:
         folder = output_folder(text)

@@ -83,7 +83,7 @@ class JointLimits:
         )
 
     def start(self, positions: Mapping[str, float], joints: Sequence[str]) -> np.ndarray:
-        """The initial positions (n,), rad, of these limits' joints.
+        """Returns initial positions (n,), rad, in the order of the limits, after checks.
 
         Args:
             positions: joint name → rad; a joint without one starts at 0, as in a hand's description.
