@@ -1,6 +1,5 @@
 """A recording drives a robot hand in a Drake diagram of your own."""
 
-from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -9,20 +8,18 @@ from geort_drake import (
     GloveReplay,
     HandSpec,
     RetargetingSystem,
+    add_hand_model,
     add_rerun_recorder,
     load_hand,
     load_retargeter,
     synthesize_play,
 )
-from geort_drake.resources import resolve_uri
 
 hand = load_hand("allegro_right")
 builder = DiagramBuilder()
 plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
-(model,) = Parser(plant).AddModels(str(resolve_uri(hand.model)))
-plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(hand.base_frame))
-for name, angle in hand.default_positions.items():
-    plant.GetJointByName(name).set_default_positions([angle])
+model = add_hand_model(plant, hand)
+plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(hand.base_frame, model))
 plant.set_gravity_enabled(model, False)
 plant.Finalize()
 

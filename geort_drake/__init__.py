@@ -13,6 +13,7 @@ People:
 Robot hands:
     load_hand: loads a hand's description by name or file.
     HandModel: a hand's kinematics, geometry and limits in Drake.
+    add_hand_model: adds a hand to a plant.
 Systems for Drake diagrams:
     RetargetingSystem: keypoints to safe joint targets.
     GloveReplay: plays a recording.
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from geort_drake.comparison.metrics import evaluate as evaluate
     from geort_drake.comparison.refit import refit_checkpoint as refit_checkpoint
     from geort_drake.comparison.train import train_checkpoint as train_checkpoint
+    from geort_drake.hands.assembly import add_hand_model as add_hand_model
     from geort_drake.hands.description import load_hand as load_hand
     from geort_drake.hands.model import HandModel as HandModel
     from geort_drake.people.play import synthesize_play as synthesize_play
@@ -79,6 +81,7 @@ _MODULES = {
     "PointsSpec": "rerun",
     "SignalSpec": "rerun",
     "StateSpec": "rerun",
+    "add_hand_model": "hands.assembly",
     "add_rerun_recorder": "rerun",
     "evaluate": "comparison.metrics",
     "load_hand": "hands.description",

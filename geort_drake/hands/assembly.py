@@ -27,7 +27,7 @@ from pydrake.systems.framework import Context
 from geort_drake.errors import HandError
 from geort_drake.files import require_fetched
 from geort_drake.hands.couplings import followers
-from geort_drake.hands.description import HandDescription, resolved_couplings
+from geort_drake.hands.description import HandDescription, load_hand, resolved_couplings
 from geort_drake.hands.model_files import (
     check_model_values,
     mesh_elements,
@@ -39,22 +39,25 @@ from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 
 
 def add_hand_model(
-    plant: MultibodyPlant, description: HandDescription, name: str | None = None
+    plant: MultibodyPlant, description: HandDescription | str | os.PathLike, name: str | None = None
 ) -> ModelInstanceIndex:
     """Adds a hand to a plant without attaching it to anything.
 
-    Joints that no finger lists and that follow no other are welded at their default positions. Followers have
-    no motor; in a discrete plant, coupler constraints drive them. The hand base is a frame of the model
-    instance, named as in the description.
+    Joints start at the description's default positions. Those that no finger lists and that follow no other
+    are welded there. Followers have no motor; in a discrete plant, coupler constraints drive them. The hand
+    base is a frame of the model instance, named as in the description.
 
     Args:
         plant: the plant, not finalized and registered with a scene graph.
-        description: the hand.
+        description: the hand's description, or its name or file.
         name: name of the model instance; by default the model's.
 
     Raises:
-        HandError: the model is missing or malformed, or lacks an element that the description names.
+        HandError: description or model are missing or malformed, or the model lacks an element that the
+            description names.
+        UnknownNameError: no hand has that name.
     """
+    description = load_hand(description)
     path = resolve_uri(description.model)
     source = f"hand '{description.name}' with model {path}"
     if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
