@@ -16,7 +16,7 @@ from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from geort_drake import HandModel, load_hand, read_recording
+from geort_drake import HandModel, read_recording
 from geort_drake.benchmark.plots import MARKERS, STYLE, WIDTH
 from geort_drake.cli.options import CommandParser, methods_for, output_folder
 from geort_drake.colours import FINGER_COLOURS
@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--methods", nargs="+", metavar="NAME", help="methods (default: all)")
     parser.add_argument("--output", type=output_folder, default="docs/figures", help="folder of the pictures")
     arguments = parser.parse_args(argv)
-    hand = HandModel(load_hand(arguments.hand))
+    hand = HandModel(arguments.hand)
     recording = read_recording(arguments.recording, hand.description.side, training=True)
     protocol = same_person(recording, arguments.recording.name)
     comparison = Comparison(hand, [protocol], [0])

@@ -90,7 +90,7 @@ class WorsenedMap:
 @functools.cache
 def setting(task_name: str, hand_name: str) -> tuple[HandModel, Recording, HumanHand, list]:
     """Returns the robot hand, the person's play and hand, and the plans for the task."""
-    hand, task = HandModel(load_hand(hand_name)), find_task(task_name)
+    hand, task = HandModel(hand_name), find_task(task_name)
     recording = synthesize_play(seed=0, side=hand.description.side)
     plans = task.plans(load_scenario(*task.scenario, hand=hand_name), hand.description)
     return hand, recording, HumanHand.fit(recording), plans

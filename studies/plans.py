@@ -21,7 +21,6 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.console import print_table, say
 from geort_drake.errors import ScenarioError
 from geort_drake.files import write_text
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
@@ -56,7 +55,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     logging.getLogger("drake").setLevel(logging.ERROR)
     rows = []
     for name in arguments.hands:
-        oracle = Oracle(HandModel(load_hand(name)))
+        oracle = Oracle(HandModel(name))
         for object_name in arguments.objects:
             scenario = load_scenario(name=arguments.scenario, hand=name)
             scenario.object.name = object_name

@@ -18,7 +18,6 @@ from geort_drake.comparison.metrics import evaluate_frames, robot_space
 from geort_drake.comparison.refit import refit_checkpoint
 from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import print_table
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.population import sample_person
 from geort_drake.retargeting.checkpoint import load_checkpoint
@@ -45,7 +44,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--rate", type=float, default=30.0, help="frame rate, Hz")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(argv)
-    hand = HandModel(load_hand(arguments.hand))
+    hand = HandModel(arguments.hand)
     universal, space = load_retargeter(arguments.map or arguments.hand, hand), robot_space(hand)
     keypoints = hand.description.human_keypoints
     rows = []

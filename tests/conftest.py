@@ -134,7 +134,6 @@ def panda():
 
 
 def _hand(name: str):
-    from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
 
-    return HandModel(load_hand(name))
+    return HandModel(name)

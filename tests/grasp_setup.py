@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from geort_drake import HandModel, Recording, load_hand, load_scenario, run_trial, synthesize_play
+from geort_drake import HandModel, Recording, load_scenario, run_trial, synthesize_play
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.retargeting.methods.affine_ik import AffineIK
@@ -34,7 +34,7 @@ TOO_SHORT = "{timeout: 0.3}"
 @cache
 def allegro() -> HandModel:
     """The robot hand of the shipped scenario."""
-    return HandModel(load_hand("allegro_right"))
+    return HandModel("allegro_right")
 
 
 @cache

@@ -157,7 +157,7 @@ def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
         settings={"steps": 3},
         robot_samples=1000,
     )
-    hand = HandModel(load_hand(file))
+    hand = HandModel(file)
     retarget = load_retargeter(path, hand)
     q = retarget(synthesize_play(seed=2, duration_s=1.0, rate_hz=30.0).p_HK.astype(float))
     assert ((hand.lower <= q) & (q <= hand.upper)).all()
@@ -222,7 +222,7 @@ def test_faults_are_named(fault, tmp_path):
     description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes)).description
     change(description)
     write_description(description, tmp_path / "hand.yaml")
-    found = "\n".join(examine(HandModel(load_hand(tmp_path / "hand.yaml"))))
+    found = "\n".join(examine(HandModel(tmp_path / "hand.yaml")))
     assert finding in found and bool(finding) == bool(found)
 
 
@@ -269,7 +269,7 @@ def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
     """A replayed glove moves a described hand in the shipped scenario; followers follow without motors."""
     model = write_hand(tmp_path, HandSpec(4, kind))
     write_description(propose(model).description, tmp_path / "mine.yaml")
-    hand = HandModel(load_hand(tmp_path / "mine.yaml"))
+    hand = HandModel(tmp_path / "mine.yaml")
     retarget = Constant(hand, 0.5 * (hand.lower + hand.upper))
     scenario = load_scenario(hand=str(tmp_path / "mine.yaml"))
     parts = make_trial_diagram(scenario, retarget, resting_glove(0.4))

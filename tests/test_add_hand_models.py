@@ -81,7 +81,7 @@ def test_the_command_describes_a_copy(tmp_path):
     output.parent.mkdir()
     run_command("add-hand", [str(model), "--hulls", "--output", str(output), "--quiet"])
     assert model.read_bytes() == before
-    hand = HandModel(load_hand(output))
+    hand = HandModel(output)
     assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 13
 
 

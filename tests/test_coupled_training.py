@@ -9,7 +9,7 @@ import torch
 from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_data, toy_kinematics, uneven_kinematics
 from scipy.spatial.transform import Rotation
 
-from geort_drake import HandModel, load_hand
+from geort_drake import HandModel
 from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.people.keypoints import TIP_KEYPOINT
@@ -134,7 +134,7 @@ def test_training_avoids_collisions_of_the_given_shapes():
 @pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
 def test_gaps_agree_with_drake(name):
     """The sign of the least gap is Drake's answer, except where a cylinder's rim decides."""
-    hand = HandModel(load_hand(name))
+    hand = HandModel(name)
     q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (1500, 16))
     shapes = collision_shapes(hand)
     gaps = CollisionGaps(hand.kinematics(), shapes)
@@ -166,7 +166,7 @@ def people():
 
 def test_the_seed_determines_the_map_to_the_last_bit():
     """A small map of the Allegro hand, twice; another seed gives another."""
-    hand = HandModel(load_hand("allegro_right"))
+    hand = HandModel("allegro_right")
     config = CoupledConfig(steps=12)
 
     def arrays(seed):

@@ -74,7 +74,7 @@ def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_shipped_hands_start_free_and_pinch(name):
     """No self-collision at the start; the thumb's tip reaches every other one."""
-    hand = HandModel(load_hand(name))
+    hand = HandModel(name)
     assert not hand.collides(hand.default_position)
     kinematics = NumpyKinematics(hand.kinematics())
     for number in range(1, len(hand.finger_names)):
@@ -147,7 +147,7 @@ def test_a_joint_that_no_finger_lists_is_held_at_its_default(allegro_copy, rng):
 
 def _described(folder, model):
     write_description(propose(model).description, folder / "hand.yaml")
-    return HandModel(load_hand(folder / "hand.yaml"))
+    return HandModel(folder / "hand.yaml")
 
 
 def _palm_mesh(depth: float) -> str:
@@ -163,9 +163,9 @@ def test_the_digest_covers_collision_meshes(tmp_path):
     digest = _described(folder, model).digest
     (folder / "other.obj").write_text(_palm_mesh(0.02))
     shutil.copytree(folder, tmp_path / "elsewhere")
-    assert HandModel(load_hand(tmp_path / "elsewhere" / "hand.yaml")).digest == digest
+    assert HandModel(tmp_path / "elsewhere" / "hand.yaml").digest == digest
     (folder / "palm.obj").write_text(_palm_mesh(0.031))
-    assert HandModel(load_hand(folder / "hand.yaml")).digest != digest
+    assert HandModel(folder / "hand.yaml").digest != digest
 
 
 @pytest.mark.parametrize("kind", ["sdf", "xml"])
@@ -186,9 +186,9 @@ def test_the_digest_covers_included_files(kind, tmp_path):
         outer.write_text(text[:begin] + '<include file="parts/inner.xml"/>' + text[end:])
         change = ('kp="1"', 'kp="2"')
     before = _described(tmp_path, outer).digest
-    assert HandModel(load_hand(tmp_path / "hand.yaml")).digest == before
+    assert HandModel(tmp_path / "hand.yaml").digest == before
     inner.write_text(inner.read_text().replace(*change))
-    assert HandModel(load_hand(tmp_path / "hand.yaml")).digest != before
+    assert HandModel(tmp_path / "hand.yaml").digest != before
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_the_digest_covers_included_files(kind, tmp_path):
 )
 def test_shipped_hands_keep_their_digest(name, start):
     """Saved checkpoints fit a hand with the same digest only."""
-    assert HandModel(load_hand(name)).digest.startswith(start)
+    assert HandModel(name).digest.startswith(start)
 
 
 # -- links and contacts on them
@@ -274,7 +274,7 @@ def test_contact_on_a_follower_counts_for_its_finger(description, link):
 
 def test_self_contact_equals_collisions_beyond_tips():
     """Links of the Allegro that touch count, two fingertips do not."""
-    model = HandModel(load_hand("allegro_right"))
+    model = HandModel("allegro_right")
     builder, plant, hand, thing = _plant(model.description)
     view = _view(builder, plant, model.description, hand, thing)
     root = builder.Build().CreateDefaultContext()

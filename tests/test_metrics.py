@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from geort_drake import load_retargeter, synthesize_play
 from geort_drake.comparison import metrics
 from geort_drake.comparison.metric_table import METRICS, mean, worst
+from geort_drake.errors import HandError
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.training import map_figures
 
@@ -195,6 +197,13 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     without, *_ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
     coverages = {"coverage", "coverage_context_averaged"}
     assert {key for key, value in without.items() if value is None} == coverages
+
+
+def test_only_a_retargeter_of_the_hand_that_takes_batches_is_evaluated(allegro):
+    with pytest.raises(HandError, match="another hand than 'allegro_right': joint_names differ"):
+        metrics.evaluate(load_retargeter("leap_right"), allegro, synthesize_play(0, duration_s=1.0))
+    with pytest.raises(ValueError, match=r"it returned \(16,\) for \(20, 4, 3\)"):
+        metrics.evaluate_frames(lambda _p_HF: np.zeros(16), allegro, np.zeros((20, 4, 3)), 60.0)
 
 
 def test_the_worst_is_the_lowest_or_the_highest():

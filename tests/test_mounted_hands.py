@@ -110,7 +110,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
 def test_leap_grasps():
     """The simulated person lifts the object with the planned contacts and the hand's own gains."""
     text = "{object: {name: cube}, monitor: {hold_time: 0.5}, timeout: 15.0}"
-    scenario, hand = load_scenario(hand="leap_right", text=text), HandModel(load_hand("leap_right"))
+    scenario, hand = load_scenario(hand="leap_right", text=text), HandModel("leap_right")
     person, retarget = person_who_plays(), centred_map(hand)
     plans = GraspPlanner(scenario, hand.description).plans(2)
     goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))

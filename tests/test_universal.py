@@ -11,7 +11,7 @@ from grasp_setup import allegro
 from retargeting_toy import toy_kinematics
 from system_bench import Bench, Watch
 
-from geort_drake import HandModel, load_hand, load_retargeter, refit_checkpoint, synthesize_play
+from geort_drake import HandModel, load_retargeter, refit_checkpoint, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.comparison.metrics import evaluate_frames
 from geort_drake.errors import CheckpointError, GeortError, RecordingError
@@ -167,7 +167,7 @@ def test_a_file_that_is_no_map_is_refused(tmp_path):
 @pytest.mark.parametrize("name", ["allegro_right", "allegro_left", "leap_right"])
 def test_the_shipped_map_serves_an_unseen_person_from_the_first_second(name):
     """A person whom the training has not seen: fingertips move as theirs do, and most pinches close."""
-    hand = HandModel(load_hand(name))
+    hand = HandModel(name)
     retarget = load_retargeter(name, hand)
     recording = sample_person(0, 803).record(20.0, rate_hz=30.0)
     own = retarget.for_person(recording.p_HK[:30].astype(float))

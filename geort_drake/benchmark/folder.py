@@ -33,7 +33,6 @@ from geort_drake.comparison.retargeters import names_of
 from geort_drake.comparison.train import training_recording
 from geort_drake.errors import BenchmarkError, UnknownNameError
 from geort_drake.files import digest_of, write_text
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
@@ -148,7 +147,7 @@ def open_benchmark(
         UnknownNameError, HandError, CheckpointError, TrainingError: see `make_retargeter`.
     """
     names, made = names_of(methods, trainings), made or {}
-    hand = HandModel(load_hand(scenario.hand))
+    hand = HandModel(scenario.hand)
     text = dump_scenario(scenario)
     resolved = scenario_fields(text)
     texts = {name: dump_scenario(changed) for name, changed in (conditions or {}).items()}

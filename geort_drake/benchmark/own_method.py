@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import MethodError
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 
 MAX_CALL_TIME = 0.3  # s, longest duration of a call
@@ -34,7 +33,7 @@ class OwnMethod:
     def __init__(self, path: Path, hand_name: str):
         """`hand_name` is the name or file of the hand's description."""
         self._path, self._hand_name = path, hand_name
-        hand = HandModel(load_hand(hand_name))
+        hand = HandModel(hand_name)
         self.joint_names, self.lower, self.upper = hand.joint_names, hand.lower, hand.upper
         self.reset()
 
@@ -88,7 +87,7 @@ class OwnMethod:
             make = getattr(_load(self._path), "make", None)
             if not callable(make):
                 raise MethodError("the file must define a function make(hand)")
-            self._retarget = make(HandModel(load_hand(self._hand_name)))
+            self._retarget = make(HandModel(self._hand_name))
         return np.asarray(self._retarget(np.array(p_HK, float)), float)
 
     def _fault(self, q: np.ndarray) -> str:

@@ -7,7 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.comparison.metric_table import mean, worst
-from geort_drake.comparison.metrics import MIN_FRAMES, RobotSpace, evaluate_frames, pinch, robot_space
+from geort_drake.comparison.metrics import (
+    MIN_FRAMES,
+    RobotSpace,
+    adapted,
+    evaluate_frames,
+    pinch,
+    robot_space,
+)
 from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
 from geort_drake.comparison.retargeters import retargeter_of
 from geort_drake.errors import CheckpointError, GeortError, RecordingError
@@ -17,10 +24,6 @@ from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.map_file import SUFFIX
 from geort_drake.retargeting.methods import all_methods
 from geort_drake.retargeting.methods.online import VectorOnline
-from geort_drake.retargeting.retargeter import UniversalRetargeter
-
-# Length of the beginning of a recording from which a universal map computes the person's code.
-OBSERVED_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -157,10 +160,7 @@ class Comparison:
         if name not in all_methods() and Path(name).suffix != SUFFIX:
             _check_checkpoint(name, protocol, case)
         retarget, _ = retargeter_of(name, self.hand, case.trained_on, seed)
-        if isinstance(retarget, UniversalRetargeter):
-            seen = case.scored_on.tracked().p_HK[: max(1, round(case.scored_on.rate_hz * OBSERVED_S))]
-            return retarget.for_person(seen)
-        return retarget
+        return adapted(retarget, case.scored_on)
 
     def space(self, seed: int) -> RobotSpace:
         """Returns the C-space of the hand, sampled with this seed."""

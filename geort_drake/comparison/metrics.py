@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
-from geort_drake.errors import RecordingError
+from geort_drake.errors import HandError, RecordingError
 from geort_drake.hands.mirror import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import PINCH_M, Recording
@@ -31,8 +31,11 @@ from geort_drake.retargeting.training.map_figures import (
     pinched_distances,
     robot_voxels,
 )
+from geort_drake.retargeting.universal import UniversalRetargeter
 
 MIN_FRAMES = 10
+# Length of the beginning of a recording from which a universal map computes the person's code.
+OBSERVED_S = 1.0
 SMALL_STEP = 0.002  # m, step at which flatness and gain are measured
 MIN_GAIN = 1e-6  # smaller gains are rounding errors of a finger that does not respond
 APART_DISTANCE = 0.030  # m; human fingertips farther apart are not meant to pinch
@@ -64,16 +67,42 @@ def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: in
     """Computes all metrics of a retargeter on one recording, as a dictionary of JSON types.
 
     Args:
-        retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles in rad.
+        retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles (n,) and (N, n), rad, in
+            the order of `hand.joint_names`. A universal map adapts to the first second of the recording.
         hand: model of the robot hand, with the retargeter's fingers.
         recording: recording of the person's hand.
         seed: seed of the anchors, directions and robot samples.
 
+    Returns:
+        Metric → figure, as the page on the comparison file defines them; None where nothing can be measured.
+
     Raises:
+        HandError: the retargeter is for another hand.
         RecordingError: the recording has too few frames.
+        ValueError: the retargeter returns another shape.
     """
+    _require_same_hand(retarget, hand)
     frames = recording.fingertips(hand.description.human_keypoints)
+    retarget = adapted(retarget, recording)
     return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, robot_space(hand, seed))[0]
+
+
+def adapted(retarget: Callable, recording: Recording) -> Callable:
+    """A universal map's map of the person in the first second of a recording; other maps as they are."""
+    if not isinstance(retarget, UniversalRetargeter):
+        return retarget
+    return retarget.for_person(recording.tracked().p_HK[: max(1, round(recording.rate_hz * OBSERVED_S))])
+
+
+def _require_same_hand(retarget: Callable, hand: HandModel) -> None:
+    """Raises HandError if a map has other joints or joint limits than the hand."""
+    for name, own in (("joint_names", hand.joint_names), ("lower", hand.lower), ("upper", hand.upper)):
+        given = getattr(retarget, name, own)
+        if len(given) != len(own) or not (np.asarray(given) == own).all():
+            raise HandError(
+                f"the retargeter is for another hand than '{hand.description.name}': {name} differ: "
+                f"{list(given)}, expected {list(own)}"
+            )
 
 
 def evaluate_frames(
@@ -266,4 +295,12 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
 
 def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
     """Evaluates retarget(p_HF) in chunks; hidden layers of a long recording would fill the memory."""
-    return np.concatenate([retarget(p_HF[i : i + rows]) for i in range(0, len(p_HF), rows)])
+    chunks = [p_HF[i : i + rows] for i in range(0, len(p_HF), rows)]
+    q = [retarget(chunk) for chunk in chunks]
+    for given, returned in zip(chunks, q, strict=True):
+        if np.ndim(returned) != 2 or len(returned) != len(given):
+            raise ValueError(
+                f"a retargeter must return (N, n) for (N, F, 3); it returned {np.shape(returned)} for "
+                f"{given.shape}"
+            )
+    return np.concatenate(q)

@@ -8,7 +8,7 @@ import torch
 
 from geort_drake.console import progress_bar
 from geort_drake.errors import UnknownNameError
-from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.description import HandDescription
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.map_file import MapFile
@@ -82,7 +82,7 @@ def _mirror_image(hand: HandModel) -> dict[str, str]:
     """Returns name → digest of the hand's mirror image; empty if there is none."""
     side = hand.description.side
     try:
-        other = HandModel(load_hand(hand.description.name.replace(side, _MIRRORED[side])))
+        other = HandModel(hand.description.name.replace(side, _MIRRORED[side]))
     except UnknownNameError:
         return {}
     if other.joint_names != hand.joint_names or other.description.side == side:

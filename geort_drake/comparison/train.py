@@ -193,7 +193,7 @@ def cached_checkpoint(
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: as in `train_checkpoint`.
     """
-    hand = HandModel(load_hand(hand_name))
+    hand = HandModel(hand_name)
     config = training_config(method, settings)
     facts = {
         "hand": hand.digest,

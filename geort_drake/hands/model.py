@@ -3,6 +3,7 @@
 import dataclasses as dc
 import hashlib
 import json
+import os
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ from geort_drake.hands.assembly import (
 )
 from geort_drake.hands.chains import PlantFingertips, finger_chain
 from geort_drake.hands.couplings import JointCouplings, position_limits
-from geort_drake.hands.description import HandDescription
+from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.model_files import digest_of_contents, model_files
 from geort_drake.resources import resolve_uri
 from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
@@ -43,6 +44,9 @@ class HandModel:
     positions. `tip_geometries` gives the collision geometries that count as fingertips.
     Not thread-safe: the object owns the contexts in which it computes.
 
+    Args:
+        hand: a hand description, or its name or file.
+
     Attributes:
         description: the description of the hand.
         plant, scene_graph, diagram: the hand in Drake, finalized and built.
@@ -53,13 +57,14 @@ class HandModel:
         lower, upper: (n,) joint limits, rad, within which followers keep theirs.
 
     Raises:
-        HandError: the model file is missing or malformed, or the description names a joint, link or
-            frame that the model lacks or that does not form a finger.
+        HandError: description or model file are missing or malformed, or the description names a joint, link
+            or frame that the model lacks or that does not form a finger.
+        UnknownNameError: no hand has that name.
     """
 
-    def __init__(self, description: HandDescription):
+    def __init__(self, hand: HandDescription | str | os.PathLike):
+        self.description = description = load_hand(hand)
         description.validate()
-        self.description = description
         path = resolve_uri(description.model)
         self._source = f"hand '{description.name}' with model {path}"
         builder = DiagramBuilder()

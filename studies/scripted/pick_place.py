@@ -5,7 +5,7 @@ import functools
 import numpy as np
 from plans import DAMPING, HOLDING, LARGEST_STEP, Oracle, script
 
-from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
@@ -61,4 +61,4 @@ class _RelaxedOracle(Oracle):
 
 @functools.cache
 def _oracle(hand: str) -> Oracle:
-    return _RelaxedOracle(HandModel(load_hand(hand)))
+    return _RelaxedOracle(HandModel(hand))

@@ -14,7 +14,7 @@ from live_messages import manus_glove, manus_words, nodes_of, own_fields
 from trial_records import error, trial
 
 from faults.sound import checkpoint
-from geort_drake import HandModel, load_hand, load_retargeter, load_scenario
+from geort_drake import HandModel, load_retargeter, load_scenario
 from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
 from geort_drake.benchmark.records import read_records
 from geort_drake.files import sha256_of
@@ -151,7 +151,7 @@ def retargeter(path: Path) -> None:
 
 
 def hand(path: Path) -> None:
-    model = HandModel(load_hand(path))
+    model = HandModel(path)
     assert (model.lower < model.upper).all() and np.isfinite(model.default_position).all(), "no limits"
 
 
