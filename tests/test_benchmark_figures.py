@@ -71,10 +71,11 @@ def test_every_way_to_end_is_read(tmp_path, changes):
 
 
 def test_two_processes_do_not_write_to_one_file(tmp_path):
-    """The second one is turned away as long as the first has the file open."""
-    path = tmp_path / "trials.jsonl"
+    """The second is turned away as long as the first has the file open; without trials, no file remains."""
+    path = tmp_path / "run" / "trials.jsonl"
     with TrialLog(path), pytest.raises(BenchmarkError, match="another process is writing"):
         TrialLog(path)
+    assert not path.parent.exists()
     TrialLog(path).close()
 
 

@@ -86,11 +86,20 @@ def test_a_method_that_cannot_answer_the_first_frame_is_refused_by_its_file(tmp_
     assert "mine.py" in str(error.value) and fault in str(error.value)
 
 
-@pytest.mark.parametrize("text", ["", "make = 3", "import nothing_of_this_name", "def make(:"])
-def test_a_file_without_a_method_is_refused(tmp_path, play, text):
+NO_METHODS = {
+    **{"": "the file must define", "make = 3": "the file must define", "def make(:": "raised SyntaxError"},
+    "import nothing_of_this_name": "raised ModuleNotFoundError",
+    "def make(hand): pass": r"make\(hand\) must return a function; it returned None",
+}
+
+
+@pytest.mark.parametrize(("text", "fault"), NO_METHODS.items())
+def test_a_file_without_a_method_is_refused(tmp_path, play, allegro, text, fault):
     (tmp_path / "mine.py").write_text(text)
-    with pytest.raises(MethodError, match=r"mine\.py: raised"):
+    with pytest.raises(MethodError, match=rf"mine\.py: {fault}"):
         OwnMethod(tmp_path / "mine.py", "allegro_right").check(play.p_HK[0])
+    with pytest.raises(MethodError, match=r"mine\.py: a Python file is a method of .* benchmark only"):
+        names_of([str(tmp_path / "mine.py")], hand=allegro)
     with pytest.raises(MethodError, match=r"other\.py: no such file"):
         names_of([str(tmp_path / "other.py")])
 

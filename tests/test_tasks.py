@@ -484,3 +484,5 @@ def test_tasks_are_folders_and_say_what_is_wrong():
     ):
         with pytest.raises(error, match=message):
             load_scenario(*find_task("keys").scenario, text)
+    # A task may borrow another's scenario file.
+    assert load_scenario(*find_task("keys").scenario, "{kind: servo}", task="grasp").task == "grasp"

@@ -58,6 +58,8 @@ class OwnMethod:
             started = time.perf_counter()
             q = self._retarget_frame(p_HK)
             spent = time.perf_counter() - started
+        except MethodError:
+            raise
         except Exception as error:
             raise MethodError(f"{self._path}: raised {type(error).__name__}: {error}") from error
         if fault := self._fault(q):
@@ -86,8 +88,11 @@ class OwnMethod:
         if self._retarget is None:
             make = getattr(_load(self._path), "make", None)
             if not callable(make):
-                raise MethodError("the file must define a function make(hand)")
-            self._retarget = make(HandModel(self._hand_name))
+                raise MethodError(f"{self._path}: the file must define a function make(hand)")
+            made = make(HandModel(self._hand_name))
+            if not callable(made):
+                raise MethodError(f"{self._path}: make(hand) must return a function; it returned {made!r}")
+            self._retarget = made
         return np.asarray(self._retarget(np.array(p_HK, float)), float)
 
     def _fault(self, q: np.ndarray) -> str:

@@ -1,5 +1,6 @@
 """Reads and writes a benchmark's results: one JSON line per trial, readable after any interruption."""
 
+import contextlib
 import fcntl
 import json
 import math
@@ -198,7 +199,11 @@ class TrialLog:
             os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Releases the file."""
+        """Releases the file; if nothing was written, removes it and a folder that contains nothing else."""
+        with contextlib.suppress(OSError):
+            if self.path.stat().st_size == 0 and os.listdir(self.path.parent) == [self.path.name]:
+                self.path.unlink()
+                self.path.parent.rmdir()
         self._file.close()
 
     def __enter__(self) -> "TrialLog":

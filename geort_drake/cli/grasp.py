@@ -30,6 +30,7 @@ from geort_drake.cli.options import (
     write_json,
 )
 from geort_drake.errors import ScenarioError
+from geort_drake.resources import models_dir
 
 if TYPE_CHECKING:
     from geort_drake import Recording
@@ -38,17 +39,16 @@ if TYPE_CHECKING:
 
 # Grasped if neither --objects nor the scenario names an object.
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
-EPILOG = """\
-{methods}
-objects: see models/objects.yaml, or the page on the grasp task in the documentation
-"""
+EPILOG = "{methods}"
 
 
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_output("runs/grasp", "results.json")
+    names = ", ".join(sorted(path.stem for path in (models_dir() / "sdf" / "objects").glob("*.sdf")))
     objects = (
-        f"objects to grasp (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it has none)"
+        f"objects to grasp, of {names} (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it "
+        "has none)"
     )
     add("--objects", nargs="+", metavar="NAME", help=objects)
     add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")
@@ -253,7 +253,7 @@ def _request(arguments: argparse.Namespace) -> "tuple[Scenario, Recording | None
     replay = read_recording(path, arguments.side or load_hand(base.hand).side)
     task = replay.metadata.get("task", base.task)
     if task != base.task and arguments.scenario_file is None and name == DEFAULT_SCENARIO:
-        base = load_scenario(*find_task(task).scenario, arguments.scenario_text, arguments.hand)
+        base = load_scenario(*find_task(task).scenario, arguments.scenario_text, arguments.hand, task)
     if base.fixed_base:
         return base, dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
     if replay.X_WH is None:

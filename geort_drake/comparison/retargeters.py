@@ -30,15 +30,17 @@ def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None 
     are methods only without `hand`, whose checkpoints and maps are checked.
 
     Raises:
-        UnknownNameError: an entry is neither a method nor a checkpoint, a map or a permitted Python file.
-        MethodError: a Python file is missing.
+        UnknownNameError: an entry is neither a method nor a checkpoint, a map or a Python file.
+        MethodError: a Python file is missing, or given with `hand`.
         BenchmarkError: two different entries have the same name.
         CheckpointError: a checkpoint or map is damaged or for another hand, or no map is shipped for `hand`.
     """
     names: dict[str, str] = {}
     for given in methods:
         path, is_method = Path(given).resolve(), given in all_methods()
-        is_python = path.suffix == PYTHON_SUFFIX and hand is None
+        is_python = path.suffix == PYTHON_SUFFIX
+        if is_python and hand is not None:
+            raise MethodError(f"{given}: a Python file is a method of geort-drake benchmark only")
         if is_python and not path.is_file():
             raise MethodError(f"{given}: no such file; it must define make(hand)")
         if not (is_python or is_method or (path / CONFIG).is_file() or path.suffix == SUFFIX):

@@ -117,12 +117,14 @@ def take_screenshot(
     """Takes a screenshot (.png) of a recording in the viewer, with the layout stored in the file.
 
     Args:
-        recording, size: as in `camera`.
+        recording: the .rrd file.
         picture: the .png file.
         time: time on the recording's timeline, simulated s or training steps; by default the end.
+        size: width and height of the picture, px.
 
     Raises:
-        RecordingError: as in `camera`, or the picture has another suffix.
+        RecordingError: the recording is missing or empty, the viewer cannot draw here, or the picture has
+            another suffix.
     """
     picture = Path(picture).resolve()
     if picture.suffix != ".png":

@@ -117,10 +117,18 @@ def load_scenario(
     name: str = "Grasp",
     text: str | None = None,
     hand: str | None = None,
+    task: str | None = None,
 ) -> Scenario:
     """Reads a scenario by name, merges YAML `text` into it, and checks the result.
 
-    Mappings are merged and lists replaced, as in Drake's hardware_sim. `hand` replaces the scenario's hand.
+    Mappings are merged and lists replaced, as in Drake's hardware_sim.
+
+    Args:
+        file: YAML file; by default the package's.
+        name: name of the scenario in the file.
+        text: YAML mapping of the fields to change, such as "{timeout: 30}".
+        hand: name or file of a hand's description, instead of the scenario's.
+        task: name of a task, instead of the scenario's.
 
     Raises:
         ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
@@ -142,7 +150,7 @@ def load_scenario(
         raise UnknownNameError(f"scenario in {path}", name, choices)
     _check_fields(choices[name], f"scenario '{name}' in {path}")
     scenario = _merged(path, name, text, Scenario())
-    scenario.hand = hand or scenario.hand
+    scenario.hand, scenario.task = hand or scenario.hand, task or scenario.task
     check_scenario(scenario)
     return scenario
 
