@@ -51,15 +51,12 @@ def frames(rng):
     return rng.uniform(-0.04, 0.04, (1200, 3, 3))
 
 
-def test_motion_preservation_of_a_scaled_identity_is_one(frames, rng):
-    """The gain plays no role; a constant map is worth nothing; a mirror image less than nothing."""
+def test_motion_preservation_is_a_third_of_a_rotations_trace(frames, rng):
+    """E⟨d, R d⟩ over the sphere is tr(R)/3 = (1 + 2 cos θ)/3. The gain plays no role; a constant map is 0."""
     assert map_figures.motion_preservation(lambda p: 3 * p + 0.1, frames, rng) == pytest.approx(1.0)
     assert map_figures.motion_preservation(np.zeros_like, frames, rng) == 0.0
     assert map_figures.motion_preservation(lambda p: -p, frames, rng) == pytest.approx(-1.0)
 
-
-def test_motion_preservation_of_a_rotation_is_a_third_of_its_trace(frames, rng):
-    """E⟨d, R d⟩ over the sphere is tr(R)/3 = (1 + 2 cos θ)/3."""
     R = Rotation.from_rotvec([0.3, -0.5, 0.4])
     expected = (1 + 2 * math.cos(R.magnitude())) / 3
     value = map_figures.motion_preservation(lambda p: p @ R.as_matrix().T, frames, rng, anchors=20_000)

@@ -175,14 +175,10 @@ def test_the_person_tries_again_when_the_object_stays_behind():
     assert session.raised > 0.1
 
 
-def test_without_touch_the_person_closes_until_the_fingers_come_no_further():
-    """Then the grasp goes on as with touch."""
+def test_the_grasp_also_holds_without_touch_and_in_a_noisier_scene():
+    """Without touch, fingers close until they come no further. The noise is four times as large."""
     session = act(1.5, touch=False, until=30.0)
     assert session.phases == STRAIGHT and session.raised > 0.1
-
-
-def test_a_noisier_scene_makes_the_person_slower_but_lose_nothing():
-    """With four times the noise single looks are off by more than the tolerances; the grasp still holds."""
     noisy = {name: 4 * getattr(OperatorConfig(), name) for name in QUIET}
     session = act(1.5, until=30.0, **noisy)
     assert session.phases == STRAIGHT and session.attempts == 1

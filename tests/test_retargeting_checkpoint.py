@@ -6,17 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from faults.sound import (
-    FINGERS,
-    JOINTS,
-    LOWER,
-    TIPS,
-    UPPER,
-    checkpoint,
-    play,
-    smooth_arrays,
-    smooth_retargeter,
-)
+from faults.sound import JOINTS, TIPS, checkpoint, play, smooth_arrays, smooth_retargeter
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from retargeting_toy import toy_kinematics, uneven_kinematics
 from system_bench import Bench
@@ -159,7 +149,7 @@ def test_a_checkpoint_tells_where_it_was_trained_and_an_older_one_still_loads(tm
 def test_the_map_has_exact_gradients_in_autodiff():
     """Those of the Jacobian, by joint name and keypoint; all other keypoints have none."""
     tips = (4, 12, 8, 16)  # a hand's description may swap fingers
-    retarget = Retargeter(smooth_arrays(), FINGERS, JOINTS, tips, LOWER, UPPER)
+    retarget = smooth_retargeter(tips=tips)
     keypoints = hands(1)[0]
     order = JOINTS[::-1]
     system = RetargetingMap(retarget, order)

@@ -227,6 +227,9 @@ def test_monitor_does_not_count_a_dropped_or_thrown_object():
     assert outcome.peak_force == 9 and outcome.peak_height == pytest.approx(0.12)
     fallen = run_monitor([0, 0, -0.1, 0.2], [[1, 0], [0, 0], [0, 0], [1, 1]])
     assert fallen.phase == GraspPhase.THROWN and fallen.over and not fallen.success
+    # The last phase with a touch is not the furthest one nor the throw: here what threw it was one finger.
+    outcome = run_monitor([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]])
+    assert outcome.phase == GraspPhase.THROWN and outcome.last_touched == GraspPhase.TOUCH
 
 
 def test_monitor_ends_when_the_object_strays_out_of_the_hand():
@@ -269,9 +272,3 @@ def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
     assert outcome.slip == pytest.approx(0.0 if drops else 0.015)
     longer = run_monitor(heights, touched, period=LOOK, hand_heights=hands, drop_time=0.5)
     assert longer.drops == 0
-
-
-def test_monitor_remembers_the_last_phase_with_a_touch():
-    """Not the furthest one, and not the throw itself: here what threw it was one finger."""
-    outcome = run_monitor([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]])
-    assert outcome.phase == GraspPhase.THROWN and outcome.last_touched == GraspPhase.TOUCH

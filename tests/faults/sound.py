@@ -38,9 +38,9 @@ def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:
     }
 
 
-def smooth_retargeter(gain: float = 1.0) -> Retargeter:
+def smooth_retargeter(gain: float = 1.0, tips: tuple = TIPS) -> Retargeter:
     """The map of `smooth_arrays`, for a hand of `JOINTS`."""
-    return Retargeter(smooth_arrays(gain), FINGERS, JOINTS, TIPS, LOWER, UPPER)
+    return Retargeter(smooth_arrays(gain), FINGERS, JOINTS, tips, LOWER, UPPER)
 
 
 def checkpoint(folder: Path, name: str = "checkpoint", with_points: bool = True, **changes) -> Path:
