@@ -49,7 +49,7 @@ def add_reading_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.errors import RecordingError
-    from geort_drake.people.checks import noted
+    from geort_drake.people.checks import with_warnings
     from geort_drake.people.checks.findings import Finding, Severity
     from geort_drake.people.checks.report import report
 
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_json(arguments.json, result)
     written, following = {}, None
     if arguments.output is not None:
-        noted(recording, findings).save(arguments.output)
+        with_warnings(recording, findings).save(arguments.output)
         written["Recording"] = arguments.output
     if result["fit_for_training"] and (arguments.output or not arguments.mirror):
         hand = None if recording.side == "right" else "allegro_left"

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _average(arguments: argparse.Namespace) -> int:
     from geort_drake import read_recording, synthesize_play
     from geort_drake.console import warn
-    from geort_drake.people.checks import examine, noted, refuse
+    from geort_drake.people.checks import examine, refuse, with_warnings
     from geort_drake.people.human_hand import HumanHand
 
     output, hand = output_file(".npz")(arguments.output), None
@@ -60,7 +60,7 @@ def _average(arguments: argparse.Namespace) -> int:
     made = synthesize_play(arguments.seed, arguments.duration, rate, hand, side=arguments.side)
     recording, findings = examine(made)
     refuse(str(output), findings)
-    noted(recording, findings).save(output)
+    with_warnings(recording, findings).save(output)
     for finding in findings:
         warn(str(finding))
     size = f"{len(recording)} frames at {recording.rate_hz:g} Hz"

@@ -32,7 +32,7 @@ from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.collision_shapes import unsupported_shape
 from geort_drake.hands.model import HandModel
 
-# Pairs whose distance depends on at most two joints are checked on a grid of 13 angles per joint.
+# Pairs whose distance depends on at most _GRID_JOINTS joints are checked at _GRID_SIZE angles of each.
 _GRID_JOINTS, _GRID_SIZE = 2, 13
 _NEXT_AXIS, _PREVIOUS_AXIS = np.array([1, 2, 0]), np.array([2, 0, 1])
 

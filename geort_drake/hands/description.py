@@ -88,7 +88,7 @@ class HandDescription:
     """
 
     name: str = ""
-    # SDF, URDF or MJCF file: package://geort_drake/..., an absolute path, or a path relative to this file.
+    # SDF, URDF or MJCF file: package://geort_drake/..., an absolute path, or one relative to the description.
     model: str = ""
     # The side of the hand, right or left.
     side: str = "right"

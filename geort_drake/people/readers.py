@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.people.checks import examine, noted, refuse
+from geort_drake.people.checks import examine, refuse, with_warnings
 from geort_drake.people.checks.anatomy import UNITS_M
 from geort_drake.people.checks.findings import Finding, warning
 from geort_drake.people.formats import AUTO, FORMATS, choose
@@ -61,7 +61,7 @@ def read_recording(
     refuse(str(path), findings, training)
     recording, found = examine(recording)
     refuse(str(path), found, training)
-    return noted(recording, [*findings, *found])
+    return with_warnings(recording, [*findings, *found])
 
 
 def open_recording(

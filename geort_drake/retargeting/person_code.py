@@ -14,9 +14,9 @@ from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, TIP_KE
 from geort_drake.retargeting.clouds import first_in_voxels
 
 PLACE = 0.005  # m; edge of the voxels that count as one place
-_WEIGHTS = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0)  # candidates for the prior's, in places
+_WEIGHTS = (2.0, 5.0, 10.0, 20.0, 40.0, 80.0, 160.0, 320.0)  # candidate weights of the prior, in places
 _LOWER = np.tril_indices(3)
-# Parts of the code, and the count of numbers of each per finger.
+# Parts of the code, and the number of values of each per finger.
 CODE_PARTS = {"base": 3, "length": 1, "reach": 3, "spread": 1, "covariance": 6, "places": 1}
 CODE_SIZE = sum(CODE_PARTS.values())
 
@@ -97,7 +97,7 @@ class AveragePerson:
         return {"reach_mean": self.mean, "reach_covariance": self.covariance, "reach_weights": weights}
 
     @staticmethod
-    def of_arrays(arrays: Mapping[str, np.ndarray]) -> "AveragePerson":
+    def from_arrays(arrays: Mapping[str, np.ndarray]) -> "AveragePerson":
         """Makes the prior from the result of `arrays`."""
         weights = map(float, arrays["reach_weights"])
         return AveragePerson(arrays["reach_mean"], arrays["reach_covariance"], *weights)

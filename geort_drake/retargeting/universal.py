@@ -74,7 +74,7 @@ class UniversalRetargeter:
         if "columns" in arrays:
             self._arrays["columns"] = arrays["columns"]
         self._check()
-        self.average = AveragePerson.of_arrays(self._arrays)
+        self.average = AveragePerson.from_arrays(self._arrays)
         self.folded(np.asarray(self._arrays["code_mean"]))  # also checks the arrays of the fingers
 
     def _check(self) -> None:

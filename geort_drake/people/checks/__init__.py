@@ -53,8 +53,8 @@ def refuse(name: str, findings: Iterable[Finding], training: bool = False) -> No
             raise RecordingError(f"{name}: {finding}")
 
 
-def noted(recording: Recording, findings: Iterable[Finding]) -> Recording:
-    """Returns the recording with all findings in `metadata["warnings"]`, each once."""
+def with_warnings(recording: Recording, findings: Iterable[Finding]) -> Recording:
+    """Returns the recording with all findings added to `metadata["warnings"]`, each once."""
     warnings = list(dict.fromkeys([*recording.metadata.get("warnings", []), *map(str, findings)]))
     return dataclasses.replace(recording, metadata={**recording.metadata, "warnings": warnings})
 

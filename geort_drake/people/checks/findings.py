@@ -1,4 +1,4 @@
-"""Findings about a recording: fault, severity, place and remedy."""
+"""Findings about a recording: fault, severity, location and remedy."""
 
 import dataclasses
 import enum

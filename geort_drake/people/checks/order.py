@@ -61,7 +61,7 @@ def _contradictions(distance: np.ndarray) -> Iterator[str]:
     longest = max((bone for bone in BONES if bone[0] != 0), key=lambda bone: distance[bone])
     if distance[longest] > 0.75 * distance[0, 9]:
         yield f"{longest[0]} and {longest[1]}, the ends of a finger's bone, are nearly a palm apart"
-    # Even in a fist the joint after the next one is a little farther than the next.
+    # Even in a fist, a joint is slightly farther from the joint after the next than from the next.
     for finger, chain in _F.items():
         for a, b, c in zip(chain, chain[1:], chain[2:], strict=False):
             if distance[a, c] < 0.9 * distance[a, b]:

@@ -205,7 +205,7 @@ class Source:
         X = p.reshape(len(p), math.prod(p.shape[1:]) // 16, 4, 4)
         return self.transforms(field, X, column_major and p.ndim < 4)[..., :3, 3]
 
-    def lose(self, bad: np.ndarray, known: np.ndarray, what: str) -> None:
+    def mark_unreadable(self, bad: np.ndarray, known: np.ndarray, what: str) -> None:
         """Marks `bad` frames (T,) as unreadable; raises RecordingError if over half of `known` are."""
         if bad.sum() > 0.5 * known.sum():
             raise self.error(what)
@@ -224,7 +224,7 @@ class Source:
         # A matrix without translation fits both.
         uprights, turns = int((known & upright & ~turned).sum()), int((known & turned & ~upright).sum())
         bad = known & ~(turned if turns > uprights else upright)
-        self.lose(bad, known, f"{field} must be rigid transforms, whose last row is 0 0 0 1")
+        self.mark_unreadable(bad, known, f"{field} must be rigid transforms, whose last row is 0 0 0 1")
         X = np.where(bad[:, None, None, None], np.nan, X)
         X = np.swapaxes(X, -1, -2) if turns > uprights else X
         if uprights != turns and (turns > uprights) != column_major:

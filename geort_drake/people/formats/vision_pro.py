@@ -76,7 +76,7 @@ def _wrist_index(file: Source, field: str, X_JK: np.ndarray) -> int:
     moved = np.abs(X_JK[:, candidates] - np.eye(4)).max(axis=(2, 3), initial=0.0) > 1e-3
     row = int(np.argmin(moved[known].sum(axis=0)))
     what = f"{field} must be joints in the wrist's frame, where the wrist's own transform is the identity"
-    file.lose(moved[:, row] & known, known, what)
+    file.mark_unreadable(moved[:, row] & known, known, what)
     return candidates[row]
 
 
@@ -87,7 +87,7 @@ def _in_world(file: Source, field: str, X_WJ: np.ndarray, p_JK: np.ndarray) -> n
     finite = np.where(known[:, None, None], R, np.eye(3))
     skews = np.abs(finite @ np.swapaxes(finite, 1, 2) - np.eye(3)).max(axis=(1, 2), initial=0.0) > 1e-2
     what = f"{field} must be rotations, which neither mirror nor scale"
-    file.lose(skews | (np.linalg.det(finite) < 0), known, what)
+    file.mark_unreadable(skews | (np.linalg.det(finite) < 0), known, what)
     file.faults.add(NO_HAND, np.flatnonzero(empty_frames(R)))
     with np.errstate(invalid="ignore", over="ignore"):
         return p_JK @ np.swapaxes(R, 1, 2) + X_WJ[:, None, :3, 3]

@@ -130,7 +130,7 @@ class VectorOnline:
         previous = self._q[None]
         self._q = self._vectors.solve(targets, weights, previous, previous)[0]
         self._projected = projected[0]
-        # a + (q − a) instead of q reproduces published figures bit by bit.
+        # a + (q − a) instead of q reproduces published figures bit for bit.
         self._answer = self._q if self._answer is None else self._answer + (self._q - self._answer)
         return np.clip(self._answer, self.lower, self.upper)
 

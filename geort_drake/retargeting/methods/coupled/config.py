@@ -22,7 +22,7 @@ class CoupledConfig(TrainingConfig):
     track: float = 0.035  # the same for recorded steps
     cross_talk: float = 0.038  # mean motion of the other fingertips over that of the moved one
     curvature: float = 0.12  # mean squared second over first differences
-    uneven: float = 0.10  # fraction of motions whose gain is far from the finger's median
+    uneven: float = 0.10  # fraction of motions whose gain is far from the person's median
     open_pinch: float = 0.012  # fraction of pinches in which the robot's fingertips do not touch
     deep_pinch: float = 0.01  # fraction of pinches in which they overlap by most of their diameter
     false_pinch: float = 0.0012  # fraction of pairs that touch although the person's are apart

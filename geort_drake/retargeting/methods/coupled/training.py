@@ -41,7 +41,7 @@ LIKELY_WEIGHT = 0.5  # of a likely hand in a refit, relative to a recorded one
 # Settings of the multipliers. A short training has no time to correct multipliers that rose too far.
 POPULATION = {"start": 3.0, "rate": 0.02, "proportion": 0.0}
 ONE_PERSON = {"start": 1.0, "rate": 0.005, "proportion": 1.0}
-AVERAGED_STEPS = 90  # length of the exponential average of the weights
+AVERAGED_STEPS = 90  # time constant of the exponential average of the weights
 
 
 @dataclass(frozen=True)
