@@ -148,6 +148,7 @@ def run(arguments: argparse.Namespace) -> int:
 
             # The recording of an interrupted trial stays here, so that it never replaces a complete one.
             recorded = arguments.output / "interrupted" / f"{stem}.rrd"
+            recorded.unlink(missing_ok=True)
             result, glove = run_trial(
                 scenario,
                 retarget,
@@ -161,6 +162,7 @@ def run(arguments: argparse.Namespace) -> int:
                 (arguments.output / RESULTS).unlink(missing_ok=True)
                 # The first trial's scenario; the others differ in object and seed, which are in results.json.
                 write_text(arguments.output / SCENARIO, dump_scenario(scenario))
+            (arguments.output / recorded.name).unlink(missing_ok=True)  # of an earlier run
             if recorded.exists():
                 recorded.replace(arguments.output / recorded.name)
                 with contextlib.suppress(OSError):  # the folder may contain other files
