@@ -164,7 +164,10 @@ def exit_code_of(function: Callable[[], int | None]) -> int:
     except MemoryError as error:
         _print_labelled("error", "red", f"not enough memory: {error}")
         return 2
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ImportError) as error:
+        # The import of an extension that is interrupted raises ImportError from the interruption.
+        if KeyboardInterrupt not in (type(error), type(error.__cause__)):
+            raise
         console.print("interrupted")
         return 130
 

@@ -125,10 +125,15 @@ def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
         write_json(target, {"a": [1.5, float("nan")], "b": (float("inf"), "x", True)})
     finite = {"a": [1.5, None], "b": [None, "x", True]}
     assert json.loads(capsys.readouterr().out) == json.loads(file.read_text()) == finite
+    assert parser.parse_args(["--json=~/figures.json"]).json == Path.home() / "figures.json"
     # A recording behind --json must not be overwritten.
     with pytest.raises(SystemExit):
         parser.parse_args(["--json", "hand.npy"])
     assert "the name must end with .json; to print on stdout, give --json last" in capsys.readouterr().err
+
+
+STOPPED_IMPORT = ImportError("initialization failed")  # what pybind11 makes of Ctrl-C during an import
+STOPPED_IMPORT.__cause__ = KeyboardInterrupt()
 
 
 @pytest.mark.parametrize(
@@ -139,6 +144,7 @@ def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
         (PermissionError("a.npz: not allowed"), 2, "error: a.npz: not allowed\n"),
         (MemoryError("of 3 GB"), 2, "error: not enough memory: of 3 GB\n"),
         (KeyboardInterrupt(), 130, "interrupted\n"),
+        (STOPPED_IMPORT, 130, "interrupted\n"),
     ],
 )
 def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, capsys):

@@ -73,7 +73,13 @@ class CommandParser(argparse.ArgumentParser):
     def parse_args(  # type: ignore[override]
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
-        return self.parse_intermixed_args(args, namespace)
+        # Shells leave a ~ behind an equals sign, as in --output=~/run.
+        home = re.compile(r"^(--[a-z-]+=)(~.*)")
+        words = [
+            home.sub(lambda found: found[1] + os.path.expanduser(found[2]), word)
+            for word in (sys.argv[1:] if args is None else args)
+        ]
+        return self.parse_intermixed_args(words, namespace)
 
     def add_json(self, what: str) -> None:
         """Adds --json, for `write_json`; `what` names the contents, such as "the metrics"."""
