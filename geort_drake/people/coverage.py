@@ -37,7 +37,7 @@ class Motion:
 
     @property
     def enough(self) -> bool:
-        """Whether the recording contains enough of it."""
+        """Whether the recorded amount suffices."""
         return self.seen >= self.required
 
     def __str__(self) -> str:

@@ -176,7 +176,7 @@ class Recording:
 
 
 def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Returns rows (T,) of the latest samples at times t (T,); `sampled` (S,) are their times. At least 0."""
+    """Returns for each time t (T,) the row of the latest sample, taken at `sampled` (S,); at least 0."""
     return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
 
 

@@ -8,9 +8,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.importers.finger_names import (
     fingers_by_name,
-    fingers_by_place,
+    fingers_by_position,
     side_by_name,
-    thumb_by_place,
+    thumb_by_position,
 )
 from geort_drake.hands.importers.fingertips import Part, parts_of
 from geort_drake.hands.importers.structure import Chain, HandStructure
@@ -75,7 +75,7 @@ def arrange(
         thumb = named.index("thumb")
     else:
         named = None
-        thumb = thumb_by_place(p_base, directions, np.array([finger.length for finger in fingers]))
+        thumb = thumb_by_position(p_base, directions, np.array([finger.length for finger in fingers]))
         joints = ", ".join(fingers[thumb].chain.joints)
         notes.append(f"no name identifies the thumb; it is assumed to be the finger with the joints {joints}")
     others = [number for number in range(len(fingers)) if number != thumb]
@@ -111,7 +111,7 @@ def arrange(
         )
     if named is None:
         towards_thumb = (p_base - knuckles) @ R_RB[:, 1] * (1 if side == "right" else -1)
-        named = fingers_by_place(len(fingers), thumb, towards_thumb)
+        named = fingers_by_position(len(fingers), thumb, towards_thumb)
     parts: list[Part] = []
     for role in (Role.kProximity, Role.kIllustration):
         parts = parts or parts_of(plant, structure.scene_graph, structure.palm, role, plant.world_frame())

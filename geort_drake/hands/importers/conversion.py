@@ -35,8 +35,8 @@ def unreadable_meshes(model: Path) -> list[Path]:
 def convert_model(model: Path, folder: Path) -> Path:
     """Writes a copy of a model that Drake can read into a new folder; returns the copy's path.
 
-    MJCF becomes a single file with its includes and explicit defaults. The hulls are next to the copy, which
-    names all meshes relative to itself.
+    MJCF becomes a single file with its includes and explicit defaults. The hulls are next to the copy, whose
+    mesh paths are all relative.
 
     Raises:
         HandError: a mesh is missing, damaged, or of an unknown format.

@@ -39,7 +39,7 @@ def fingers_by_name(names: Sequence[Sequence[str]]) -> list[str] | None:
     return found if "" not in found and len(set(found)) == len(found) else None
 
 
-def thumb_by_place(p_base: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> int:
+def thumb_by_position(p_base: np.ndarray, directions: np.ndarray, reach: np.ndarray) -> int:
     """Returns the number of the finger that differs most in position and direction; of two, the shorter.
 
     Args:
@@ -70,7 +70,7 @@ def side_by_name(texts: Sequence[str]) -> str | None:
     return max(counts, key=lambda side: counts[side])
 
 
-def fingers_by_place(count: int, thumb: int, sideways: np.ndarray) -> list[str]:
+def fingers_by_position(count: int, thumb: int, sideways: np.ndarray) -> list[str]:
     """Names fingers by their distance from the thumb, beginning with the index finger.
 
     Args:

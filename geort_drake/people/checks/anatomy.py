@@ -93,7 +93,7 @@ def bent_side(p_WK: np.ndarray, side: str) -> str:
 
 
 def check_bones(recording: Recording) -> Iterator[Finding]:
-    """Checks that bones keep their lengths and keypoints are distinct; frames of outliers become invalid."""
+    """Checks that bones keep their lengths and keypoints are distinct; outlier frames become invalid."""
     length = bone_lengths(_valid(recording))
     median = np.median(length, axis=0)
     if median.min() < 1e-3:

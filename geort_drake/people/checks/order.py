@@ -1,4 +1,4 @@
-"""Finds the known order in which 21 keypoints come.
+"""Identifies the order of 21 keypoints among the orders of known data sets.
 
 Orders are judged by ratios of distances, which do not depend on frame, unit or mirroring.
 """
