@@ -16,11 +16,12 @@ import pytest
 from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
+from geort_drake import synthesize_play
 from geort_drake.cli import COMMANDS, main, parser_of, run_command
 from geort_drake.cli.options import DEFAULT_METHOD, SHIPPED_METHOD, SIDES, CommandParser, write_json
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console, exit_code_of, progress_bar, run_main, warn
-from geort_drake.errors import RecordingError
+from geort_drake.errors import OutputError, RecordingError
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
@@ -351,10 +352,12 @@ def test_a_backend_that_is_not_installed_is_refused(refused, monkeypatch):
 
 @pytest.mark.parametrize("command", READERS)
 def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, command):
-    """Nothing is computed for an output that cannot be stored."""
+    """Nothing is computed for an output that cannot be stored, nor for a cache."""
     # Permissions themselves do not stop the superuser, who runs tests in many containers.
     monkeypatch.setattr("os.access", lambda _path, _mode: False)
     refused(READERS[command].format("@/good.npy"), "is not a directory that can be written to")
+    with pytest.raises(OutputError, match="is not a directory that can be written to"):
+        comparison_train.cached_checkpoint("allegro_right", synthesize_play(0, 1.0))
 
 
 def test_live_says_before_it_trains_that_this_takes_minutes(tmp_path, inputs, monkeypatch, capsys):

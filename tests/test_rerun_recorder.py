@@ -52,13 +52,9 @@ def test_equal_simulations_give_equal_recordings(tmp_path):
     assert compared.returncode == 0, compared.stderr[-2000:]
     ids = {RrdReader(path).recordings()[0].recording_id for path in paths}
     assert len(ids) == 1
-    other = (
-        World(height=0.07)
-        .finalize()
-        .record(tmp_path / "other" / "trial.rrd", properties={"seed": 3}, until=0.2)
-    )
-    compared = rerun("rrd", "compare", "--unordered", paths[0], other.recorder.path)
-    assert compared.returncode != 0
+    other = tmp_path / "other" / "trial.rrd"
+    World(height=0.07).finalize().record(other, properties={"seed": 3}, until=0.2)
+    assert rerun("rrd", "compare", "--unordered", paths[0], other).returncode != 0
 
 
 def test_a_screenshot_is_a_picture_or_a_reason(tmp_path, monkeypatch):
@@ -95,10 +91,7 @@ def test_properties_keep_their_types_from_one_recording_to_the_next(tmp_path):
 
 def test_a_file_that_cannot_be_written_is_refused_before_the_simulation(tmp_path):
     (tmp_path / "file").write_text("in the way")
-    for path, fault in {
-        tmp_path / "file" / "a.rrd": "file is not a directory",
-        ".": "is a directory",
-    }.items():
+    for path, fault in ((tmp_path / "file" / "a.rrd", "file is not a directory"), (".", "is a directory")):
         with pytest.raises(OutputError, match=fault):
             World().finalize().record(path)
 

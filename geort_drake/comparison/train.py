@@ -16,7 +16,7 @@ import numpy as np
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError
-from geort_drake.files import source_digest
+from geort_drake.files import require_writable, source_digest
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
@@ -92,10 +92,12 @@ def train_checkpoint(
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: an argument is unusable.
         CheckpointError: `output` exists and is not a checkpoint.
+        OutputError: `output` cannot be written.
     """
     description = load_hand(hand_name)
     config = training_config(method, settings)
     check_replaceable(output)
+    require_writable(output, directory=True)
     hand = HandModel(description)
     with progress_bar(show_progress) as bars:
         recording = training_recording(recording, description.side, seed)
