@@ -158,6 +158,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     options.add_argument("--output", type=Path, required=True)
     options.add_argument("--states", type=Path)
     arguments = options.parse_args(argv)
+    for made in filter(None, (arguments.output, arguments.states)):
+        made.mkdir(parents=True, exist_ok=True)
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright, tempfile.TemporaryDirectory() as folder:
