@@ -235,14 +235,11 @@ def trials(rates: dict[str, int], condition: str = "") -> list[dict]:
     ]
 
 
-def test_values_are_read_and_the_usual_ones_filled_in():
-    """A name with values, a name alone, and no name at all."""
-    assert parse_values(["delay=0,250", "noise"], ASSUMPTIONS) == {"delay": [0, 250], "noise": [0, 2, 4]}
-    assert parse_values([], ASSUMPTIONS) == USUAL
-
-
 def test_a_condition_changes_what_its_name_says_and_the_nominal_value_makes_none():
     """Every parameter acts on the scenario's own fields, and leaves the nominal scenario alone."""
+    # A name with values, a name alone, and no name at all.
+    assert parse_values(["delay=0,250", "noise"], ASSUMPTIONS) == {"delay": [0, 250], "noise": [0, 2, 4]}
+    assert parse_values([], ASSUMPTIONS) == USUAL
     scenario = load_scenario()
     before = dump_scenario(scenario)
     wanted = {"delay": [180, 300], "gain": [2.5, 0.5], "noise": [1, 2], "stiffness": [4], "friction": [0.5]}

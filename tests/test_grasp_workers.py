@@ -88,12 +88,6 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
         ray.shutdown()
 
 
-def test_without_ray_the_message_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
-    with pytest.raises(GeortError, match=r"pip install 'geort-drake\[ray\]'"):
-        list(call_in_workers(os.getpid, [()], 2, "ray"))
-
-
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_worker_that_dies_leaves_a_helpful_message(jobs):
     """Finished trials are kept, and the same command continues."""
@@ -101,8 +95,11 @@ def test_a_worker_that_dies_leaves_a_helpful_message(jobs):
         list(call_in_workers(os._exit, [(1,)], jobs))
 
 
-def test_a_worker_that_loaded_other_code_is_named(monkeypatch):
-    """As one that starts after the code was changed would."""
+def test_a_missing_ray_and_a_worker_that_loaded_other_code_are_named(monkeypatch):
+    """With what to install; other code is loaded by one that starts after the code was changed."""
+    monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
+    with pytest.raises(GeortError, match=r"pip install 'geort-drake\[ray\]'"):
+        list(call_in_workers(os.getpid, [()], 2, "ray"))
     monkeypatch.setattr(workers, "code_digest", lambda: "of before")
     with pytest.raises(BenchmarkError, match=r"a worker on .* not of before; finished trials are kept"):
         list(call_in_workers(os.getpid, [()], 1))

@@ -86,15 +86,9 @@ def test_a_method_that_cannot_answer_the_first_frame_is_refused_by_its_file(tmp_
     assert "mine.py" in str(error.value) and fault in str(error.value)
 
 
-NO_METHODS = {
-    **{"": "the file must define", "make = 3": "the file must define", "def make(:": "raised SyntaxError"},
-    "import nothing_of_this_name": "raised ModuleNotFoundError",
-    "def make(hand): pass": r"make\(hand\) must return a function; it returned None",
-}
-
-
-@pytest.mark.parametrize(("text", "fault"), NO_METHODS.items())
-def test_a_file_without_a_method_is_refused(tmp_path, play, allegro, text, fault):
+@pytest.mark.parametrize("text", ["", "make = 3", "import no_module", "def make(:", "def make(hand): pass"])
+def test_a_file_without_a_method_is_refused(tmp_path, play, allegro, text):
+    fault = r"(raised (Mod|Syn)|the file must define|make\(hand\) must return a function; it returned None)"
     (tmp_path / "mine.py").write_text(text)
     with pytest.raises(MethodError, match=rf"mine\.py: {fault}"):
         OwnMethod(tmp_path / "mine.py", "allegro_right").check(play.p_HK[0])

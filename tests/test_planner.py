@@ -92,11 +92,14 @@ def test_contacts_of_adjacent_fingers_can_be_as_close_as_the_fingers(name):
         assert thing.distance(contact.p_OC) == pytest.approx(0.0, abs=1e-4)
 
 
-def test_every_object_has_a_grip_and_an_unlisted_one_is_refused_by_name():
+def test_every_object_has_a_grip_and_one_unlisted_or_out_of_reach_is_refused_by_name():
     """All three grips occur; the message lists the objects."""
     assert {grip_of(name) for name in object_names()} == set(GRIPS) == {"pinch", "tripod", "power"}
     with pytest.raises(UnknownNameError, match=r"unknown object in .*objects\.yaml 'chair'.*ball_small"):
         grip_of("chair")
+    scenario = scenario_with("sphere", "object: { position: [1.6, 0.0] }")
+    with pytest.raises(ScenarioError, match=r"cannot grasp object 'sphere' at \[1\.6, 0\.0\]"):
+        GraspPlanner(scenario, allegro().description).plans(2)[0]
 
 
 # -- plans
@@ -167,13 +170,6 @@ def test_a_planned_grasp_touches_and_nothing_collides(name):
     assert np.linalg.norm(goal.X_OB_before.translation() - goal.X_OB.translation()) > 0.05
     opened = goal.X_OB.multiply(goal.p_BF_open.T).T - goal.p_OF_touch
     assert ((opened * goal.n_OF).sum(axis=1)[goal.touches] < -0.01).all()
-
-
-def test_what_cannot_be_grasped_is_refused_by_name():
-    """An object out of reach."""
-    scenario = scenario_with("sphere", "object: { position: [1.6, 0.0] }")
-    with pytest.raises(ScenarioError, match=r"cannot grasp object 'sphere' at \[1\.6, 0\.0\]"):
-        GraspPlanner(scenario, allegro().description).plans(2)[0]
 
 
 def test_a_hand_that_cannot_take_an_object_into_its_palm_holds_it_by_a_tripod(monkeypatch):

@@ -100,6 +100,8 @@ def test_unusable_input_is_refused_with_what_is_expected():
     ):
         with pytest.raises(TrainingError, match=message):
             quick(given)
+    with pytest.raises(TrainingError, match="points must be a number, it is 'many'"):
+        quick(points="many")
     quick(apart, pinch_weight=0.0, steps=2)
     with pytest.raises(UnknownNameError, match="cpu, cuda"):
         quick(device="tpu")

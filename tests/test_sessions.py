@@ -129,10 +129,7 @@ def test_speeds_and_movements_are_those_of_the_wrist(rate):
         assert motion["fingertip_speed"] == 0.0
     # A minimum-jerk movement of 0.3 m in 1 s peaks at 0.56 m/s; its mean without the slow ends is lower.
     assert 0.3 < motion_of(session(rate=rate))["wrist_speed"] < 0.45
-
-
-def test_a_hand_that_was_hardly_followed_has_no_figures():
-    recording = session()
+    recording = session()  # of a hand that was hardly followed
     recording.valid[30:] = False
     assert set(motion_of(recording).values()) == {None}
 

@@ -364,16 +364,11 @@ def test_bad_input_teaches_nothing(frames, valid, state):
     assert len(session.context.get_abstract_state(0).get_value().observer.shapes) <= len(before.shapes) + 2
 
 
-def test_what_is_no_hand_from_the_first_frame_on_is_held():
-    """Points without a hand's length stop nothing."""
+def test_what_is_no_hand_is_held_and_an_unusual_hand_is_followed_and_named():
+    """Points without a hand's length stop nothing; the status says what is unusual."""
     _, status = Session().show(np.zeros((30, 21, 3)))
     assert status.state in (HELD_NOT_FINITE, SETTLING)
-
-
-def test_an_unusual_hand_is_followed_and_named():
-    """The status says what is unusual."""
-    session = Session()
-    _, status = session.show(1.35 * PLAY[: 4 * LEARNED_AFTER])
+    _, status = Session().show(1.35 * PLAY[: 4 * LEARNED_AFTER])
     assert status.state == UNUSUAL and "deviations" in status.unusual
 
 

@@ -61,7 +61,7 @@ class SignalSpec(Spec):
         page: name of the tab with the plot.
         limits: lowest and highest value of the plot; by default those of the data.
         colors: colour of each element; by default from a palette.
-        derive: computes the elements from the ports' values when the recording is written.
+        derive: computes the elements (T, n) from the ports' values (T, m) when the recording is written.
     """
 
     port: OutputPort | Sequence[OutputPort]

@@ -42,11 +42,13 @@ def check_numbers(config: TrainingConfig, may_be_zero: Collection[str] = ()) -> 
     must be from 0 to 1.
 
     Raises:
-        TrainingError: a number is out of range.
+        TrainingError: a number is out of range, or a text stands in its place.
     """
     for name, value in dataclasses.asdict(config).items():
-        if isinstance(value, str):
+        if isinstance(getattr(type(config), name), str):
             continue
+        if isinstance(value, str):
+            raise TrainingError(f"training config: {name} must be a number, it is '{value}'")
         fraction = name.endswith("_fraction")
         zero = fraction or name.endswith(("_weight", "_spread")) or name in may_be_zero
         if not math.isfinite(value) or value < 0 or (value == 0 and not zero):

@@ -25,24 +25,29 @@ _TIME_TOLERANCE = 1e-9
 
 @dc.dataclass
 class GloveChecks:
-    """Thresholds of the checks on a glove's keypoints, and durations of settling and easing."""
+    """Thresholds of the checks on a glove's keypoints, and durations of settling and easing.
 
-    # Largest coordinate of a keypoint, m; wrist to middle fingertip is 0.22 m for a tall man.
+    Attributes:
+        reach: largest coordinate of a keypoint, m; wrist to middle fingertip is 0.22 m for a tall man.
+        max_speed: largest speed of a coordinate, m/s; recorded glove play peaks at 1.3 to 4.0 m/s.
+        frozen_after: keypoints that stay bitwise equal for this long are frozen, s.
+        stale_after: largest age of keypoints whose measurement time is known, s.
+        settle_time: the input must be good for this long before it is followed, s.
+        ease_time: after a hold, the joints' speed limit grows from zero over the hold's duration, at most
+            this, s.
+        ease_at_start: whether the start counts as the end of a long hold; otherwise the first keypoints are
+            followed at once.
+        trained_tolerance: a fingertip farther than this from its training data is reported, m. New motions of
+            the same person stay within 0.01 m; another person's hand is 0.03 to 0.05 m away.
+    """
+
     reach: float = 0.3
-    # Largest speed of a coordinate, m/s; recorded glove play peaks at 1.3 to 4.0 m/s.
     max_speed: float = 5.0
-    # Keypoints that stay bitwise equal for this long are frozen, s.
     frozen_after: float = 0.5
-    # Largest age of keypoints whose measurement time is known, s.
     stale_after: float = 0.2
-    # The input must be good for this long before it is followed, s.
     settle_time: float = 0.03
-    # After a hold, the joints' speed limit grows from zero over the hold's duration, at most this, s.
     ease_time: float = 0.5
-    # Whether the start counts as the end of a long hold; otherwise the first keypoints are followed at once.
     ease_at_start: bool = True
-    # A fingertip farther than this from its training data is reported, m. New motions of the same person stay
-    # within 0.01 m; another person's hand is 0.03 to 0.05 m away.
     trained_tolerance: float = 0.02
 
     def validate(self) -> None:

@@ -43,14 +43,21 @@ STATES = (
 
 @dc.dataclass(frozen=True)
 class RetargetingStatus(Immutable):
-    """How the system reacts to the present input, and since when (s)."""
+    """How the system reacts to the present input, and since when.
+
+    Attributes:
+        state: one of `STATES`, such as `TRACKING`.
+        since: time at which this state began, s.
+        p_HK: keypoints (21, 3), m in H, for which `distance` is computed; None while the input is not
+            followed.
+        trained_space: the fingertips' positions in training; None if they are unknown.
+        unusual: what is unusual about the hand, in words; empty if nothing is, or for a map of one person.
+    """
 
     state: str = SETTLING
     since: float = 0.0
-    # Keypoints (21, 3), m in H, for which `distance` is computed; None while the input is not followed.
     p_HK: np.ndarray | None = dc.field(default=None, repr=False, compare=False)
     trained_space: TrainedSpace | None = dc.field(default=None, repr=False, compare=False)
-    # What is unusual about the hand, in words; empty if nothing is, or for a map of one person.
     unusual: str = ""
 
     @functools.cached_property
