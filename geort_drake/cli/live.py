@@ -22,7 +22,7 @@ from geort_drake.cli.options import (
     scenario_of,
     write_json,
 )
-from geort_drake.errors import UsageError
+from geort_drake.errors import OutputError, UsageError
 
 
 def add_arguments(parser: CommandParser) -> None:
@@ -86,6 +86,8 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.meshcat and arguments.robot != "simulation":
         raise UsageError("--meshcat shows the simulation; give it to `geort-drake stand-in-robot`")
+    if arguments.record is not None and arguments.record.is_file():
+        raise OutputError(f"{arguments.record} exists; a session does not replace a recording: choose another")
     scenario = scenario_of(arguments)
     description = load_hand(scenario.hand)
     side, duration = description.side, arguments.duration
