@@ -52,10 +52,7 @@ def spec(request) -> HandSpec:
 
 
 def test_fingers_base_and_side_are_found(spec, tmp_path):
-    """The proposal equals the specification, except for tips without geometry, which are guessed.
-
-    Commands suggest grasps for hands that have the fingers for it.
-    """
+    """The proposal equals the specification; tips without geometry are guessed. The next command fits."""
     description = propose(write_hand(tmp_path, spec)).description
     assert description.side == spec.side
     assert description.finger_names == spec.finger_names

@@ -15,7 +15,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake import HandModel, load_hand
 from geort_drake.cli import run_command
-from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.errors import HandError, OutputError, UnknownNameError
 from geort_drake.hands.assembly import parse_model
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
@@ -74,12 +74,19 @@ def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
 
 
 def test_the_command_describes_a_copy(tmp_path):
-    """With --hulls; the model itself does not change."""
+    """With --hulls; the model itself does not change, nor a folder of another kind in the copy's place."""
     model = drawn_alone(tmp_path, "urdf")
     before = model.read_bytes()
     output = tmp_path / "described" / "hand.yaml"
     output.parent.mkdir()
-    run_command("add-hand", [str(model), "--hulls", "--output", str(output), "--quiet"])
+    for _ in range(2):
+        run_command("add-hand", [str(model), "--hulls", "--output", str(output), "--quiet", "--overwrite"])
+    notes = output.parent / "hand_model" / "notes.txt"
+    notes.write_text("mine")
+    for source in (model, notes.parent / model.name):
+        with pytest.raises(OutputError, match="is no earlier copy of hand.urdf"):
+            run_command("add-hand", [str(source), "--hulls", "--output", str(output), "--overwrite"])
+        notes.unlink(missing_ok=True)
     assert model.read_bytes() == before
     hand = HandModel(output)
     assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 13
@@ -150,10 +157,7 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
     ("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl"), ("xml", "palm.glb")]
 )
 def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
-    """In its place and unit: STL of both kinds, binary glTF, whose y is up, PLY, and COLLADA.
-
-    The copy can be moved, also after --hulls.
-    """
+    """In its place and unit, also when the copy moves: STL of both kinds, binary glTF with y up, PLY, COLLADA."""
     model = _with_mesh(tmp_path, kind, name)
     assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
     add_collisions(convert_model(model, tmp_path / "copy"))

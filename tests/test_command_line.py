@@ -329,7 +329,7 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("export @/no_wrist.npz out --fps 3", ["--fps: Parquet keeps every sample"]),
         ("export @/no_wrist.npz out.mp4 --format rrd", ["out.mp4: the name must end with .rrd"]),
         ("live --port 99999", ["--port", "a port from 0 to 65535, not '99999'"]),
-        ("live --glove @/no_wrist.npz --record @/no_wrist.npz", ["does not replace a recording"]),
+        ("live --glove @/no_wrist.npz --record @/no_wrist.npz", ["no_wrist.npz exists; choose another file"]),
         ("live --glove nowhere.npz", ["nowhere.npz: no such file"]),
         ("live --glove lcm --robot lcm --meshcat", ["--meshcat shows the simulation"]),
         ("live --glove lcm --robot real", ["address 'real': give one of"]),

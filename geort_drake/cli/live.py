@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.meshcat and arguments.robot != "simulation":
         raise UsageError("--meshcat shows the simulation; give it to `geort-drake stand-in-robot`")
     if arguments.record is not None and arguments.record.is_file():
-        raise OutputError(f"{arguments.record} exists; a session does not replace a recording: choose another")
+        raise OutputError(f"{arguments.record} exists; choose another file for the recording")
     scenario = scenario_of(arguments)
     description = load_hand(scenario.hand)
     side, duration = description.side, arguments.duration

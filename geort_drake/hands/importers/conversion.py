@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, OutputError
 from geort_drake.files import atomic_directory, require_fetched, write_text
 from geort_drake.hands.assembly import parse_model
 from geort_drake.hands.model_files import mesh_elements, read_model, set_mesh
@@ -40,7 +40,11 @@ def convert_model(model: Path, folder: Path) -> Path:
 
     Raises:
         HandError: a mesh is missing, damaged, or of an unknown format.
+        OutputError: the folder contains other files than an earlier copy, or the model itself.
     """
+    others = [path for path in folder.glob("*") if not re.fullmatch(r"\d+_\w+\.obj", path.name)]
+    if model.resolve().parent == folder.resolve() or any(path.name != model.name for path in others):
+        raise OutputError(f"{folder} exists and is no earlier copy of {model.name}; choose another --output")
     tree = read_model(model)
     with atomic_directory(folder) as draft:
         hulls: dict[Path, Path] = {}
