@@ -84,7 +84,7 @@ def test_the_command_describes_a_copy(tmp_path):
     notes = output.parent / "hand_model" / "notes.txt"
     notes.write_text("mine")
     for source in (model, notes.parent / model.name):
-        with pytest.raises(OutputError, match="is no earlier copy of hand.urdf"):
+        with pytest.raises(OutputError, match="is no earlier copy of hand"):
             run_command("add-hand", [str(source), "--hulls", "--output", str(output), "--overwrite"])
         notes.unlink(missing_ok=True)
     assert model.read_bytes() == before
@@ -157,7 +157,7 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
     ("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl"), ("xml", "palm.glb")]
 )
 def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
-    """In its place and unit, also when the copy moves: STL of both kinds, binary glTF with y up, PLY, COLLADA."""
+    """In its place and unit, also when moved: STL of both kinds, binary glTF with y up, PLY and COLLADA."""
     model = _with_mesh(tmp_path, kind, name)
     assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
     add_collisions(convert_model(model, tmp_path / "copy"))
