@@ -79,6 +79,8 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
 def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
     """Yields a temporary directory, which replaces `target` on success; see `atomic_path`."""
     target = Path(target)
+    if target.is_symlink():
+        target = target.resolve()  # the link stays
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file, not a directory")
     with writing(target):

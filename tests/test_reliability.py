@@ -136,15 +136,16 @@ def test_every_writer_names_the_file_that_it_cannot_write(reason, tmp_path):
 
 
 def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):
-    """Old and new are exchanged; where the system cannot, the old one is renamed first."""
-    target = tmp_path / "run"
+    """Old and new are exchanged; where the system cannot, the old one is renamed first. A link stays one."""
+    target = tmp_path / "link"
+    target.symlink_to("run")
     for exchange in (files._exchange, lambda *_: False):
         monkeypatch.setattr(files, "_exchange", exchange)
         for number in range(2):
             with atomic_directory(target) as draft:
                 (draft / "number.txt").write_text(str(number))
         assert (target / "number.txt").read_text() == "1"
-        assert [path.name for path in tmp_path.iterdir()] == ["run"]
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "run"] and target.is_symlink()
 
 
 def test_the_current_folder_is_not_replaced(tmp_path, monkeypatch):
