@@ -252,6 +252,8 @@ def test_a_finger_has_all_links_that_its_motors_move(description):
     assert names[1] == [f"index_l{i}" for i in range(4)]
     assert names[2] == [f"middle_l{i}" for i in range(1, 4)]
     assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
+    with pytest.raises(HandError, match="needs a plant with a scene graph that is not finalized"):
+        add_hand_model(plant, description)
 
 
 @pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])

@@ -53,11 +53,13 @@ def add_hand_model(
         name: name of the model instance; by default the model's.
 
     Raises:
-        HandError: description or model are missing or malformed, or the model lacks an element that the
-            description names.
+        HandError: description or model are missing or malformed, the model lacks an element that the
+            description names, or the plant is finalized or has no scene graph.
         UnknownNameError: no hand has that name.
     """
     description = load_hand(description)
+    if plant.is_finalized() or not plant.geometry_source_is_registered():
+        raise HandError(f"hand '{description.name}' needs a plant with a scene graph that is not finalized")
     path = resolve_uri(description.model)
     source = f"hand '{description.name}' with model {path}"
     if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
@@ -104,6 +106,7 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
         if mesh.is_file():
             require_fetched(mesh, HandError)
     parser = Parser(plant)
+    parser.SetAutoRenaming(True)  # several hands of one model
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
     for name in set(re.findall(r"package://([^/\"'<]+)/", ET.tostring(tree, encoding="unicode"))):
