@@ -97,16 +97,13 @@ def test_a_proportion_has_wilsons_interval():
     assert proportion(0, 0)["rate"] is None
 
 
-def test_failures_count_as_the_timeout_in_the_mean_and_not_in_the_median():
+def test_kinds_of_success_are_told_apart_and_failures_count_as_the_timeout_in_the_mean_only():
     """A thrown object does not become a quick completion."""
     records = [trial(time=4.0), trial(time=6.0, seed=1), trial(time=None, seed=2, simulated_time=3.0)]
     time = figures(records, TIMEOUT)["completion_time_s"]
     assert time["restricted_mean"]["mean"] == pytest.approx((4 + 6 + TIMEOUT) / 3)
     assert time["median_of_successes"] == 5.0
-
-
-def test_figures_tell_kinds_of_success_apart():
-    """At once, at the second attempt, and with the palm's help; a trial that raised is in no figure."""
+    # Success at once, at the second attempt, and with the palm's help; a trial that raised is in no figure.
     records = [
         trial(),
         trial(seed=1, attempts=2),

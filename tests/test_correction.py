@@ -10,8 +10,9 @@ from grasp_setup import allegro
 from system_bench import SystemBench
 
 from geort_drake import HandModel
-from geort_drake.errors import PolicyError
+from geort_drake.errors import HandError, PolicyError
 from geort_drake.hands.clearance import HandClearance
+from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.policy_correction import POLICY_FAILED, PolicyCorrection, load_policy
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
@@ -246,3 +247,15 @@ def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(PolicyError, match="needs the package onnxruntime"):
         load_policy(onnx, 2)
+
+
+class InPlace(ActionCorrection):
+    def correct(self, desired_state, hand_state):
+        desired_state *= 0.5
+
+
+def test_a_correction_that_returns_no_state_is_named():
+    bench = SystemBench(InPlace(num_joints=2))
+    bench.fix(desired_state=np.ones(4), hand_state=np.ones(4))
+    with pytest.raises(HandError, match=r"correct must return shape \(4,\); it returned \(\)"):
+        bench.value("desired_state")

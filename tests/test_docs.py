@@ -155,22 +155,17 @@ def test_a_program_and_its_options_exist(line):
     assert all(word in text for word in words if word.startswith("--"))
 
 
-def test_every_make_target_exists():
-    """`make ...` commands of README and docs are targets of the Makefile."""
+def test_every_make_target_and_link_of_the_readme_exists():
+    """`make ...` commands also of the docs, whose links the strict build of the site checks."""
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
     used = {line.split()[1] for line in shown(r"make \w")}
-    assert used
-    assert used <= targets
-
-
-# -- files, defaults, the site
-
-
-def test_the_readmes_links_lead_somewhere():
-    """Links of the docs are checked by the strict build of the site."""
+    assert used and used <= targets
     text = (ROOT / "README.md").read_text("utf-8")
     linked = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"https?:|#", target)]
     assert [target for target in linked if not (ROOT / target).exists()] == []
+
+
+# -- files, defaults, the site
 
 
 def test_the_site_builds_and_asks_no_other_host(tmp_path):

@@ -248,9 +248,8 @@ def test_a_finger_has_all_links_that_its_motors_move(description):
     description.fingers[2].joints.remove("middle_j0")
     _, plant, hand, _ = _plant(description)
     names = [[body.name() for body in links] for links in finger_links(plant, description, hand)]
-    assert names[0] == [f"thumb_l{i}" for i in range(3)]
-    assert names[1] == [f"index_l{i}" for i in range(4)]
-    assert names[2] == [f"middle_l{i}" for i in range(1, 4)]
+    links = {"thumb": range(3), "index": range(4), "middle": range(1, 4)}
+    assert names[:3] == [[f"{finger}_l{i}" for i in numbers] for finger, numbers in links.items()]
     assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
     with pytest.raises(HandError, match="needs a plant with a scene graph that is not finalized"):
         add_hand_model(plant, description)

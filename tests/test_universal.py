@@ -192,10 +192,7 @@ def test_frame_by_frame_is_as_all_at_once(count):
     for part, given in vars(observer.observation()).items():
         np.testing.assert_allclose(given, getattr(observe(PLAY[:count], FINGERS), part), atol=1e-12)
     np.testing.assert_array_equal(start.places, 1)
-
-
-def test_memory_is_bounded_and_a_still_hand_shows_nothing_new():
-    """Shapes are those of the last frames; a place counts once."""
+    # Memory is bounded, as shapes are those of the last frames; a still hand shows no new place.
     observer = observer_of([PLAY[0]] * (WINDOW + 5))
     assert len(observer.shapes) == WINDOW
     np.testing.assert_array_equal(observer.places, 1)

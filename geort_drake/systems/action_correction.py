@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
 
+from geort_drake.errors import HandError
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.update_timing import check_timing
 
@@ -46,6 +47,12 @@ class ActionCorrection(LeafSystem):
         hand_state (2n): measured positions and velocities, same order; read only by an overridden `correct`.
     Output port:
         desired_state (2n): the command to the hand, same order.
+
+    Args:
+        num_joints: n.
+
+    Raises:
+        HandError: while it runs, `correct` returned another shape.
     """
 
     def __init__(self, num_joints: int):
@@ -55,7 +62,7 @@ class ActionCorrection(LeafSystem):
         self.DeclareVectorOutputPort("desired_state", 2 * num_joints, self._calc, self._prerequisites())
 
     def correct(self, desired_state: np.ndarray, hand_state: np.ndarray) -> np.ndarray:
-        """Returns the corrected desired state (2n,)."""
+        """Returns the corrected desired state (2n,) for the desired and the measured state (2n,)."""
         return desired_state
 
     def _prerequisites(self) -> set:
@@ -70,7 +77,9 @@ class ActionCorrection(LeafSystem):
         desired = self._desired.Eval(context)
         # Skips the hand's state, which takes time to compute, unless `correct` needs it.
         if type(self).correct is not ActionCorrection.correct:
-            desired = self.correct(desired, self._measured.Eval(context))
+            desired = np.asarray(self.correct(desired, self._measured.Eval(context)))
+            if desired.shape != (output.size(),):
+                raise HandError(f"correct must return shape ({output.size()},); it returned {desired.shape}")
         output.SetFromVector(desired)
 
 
