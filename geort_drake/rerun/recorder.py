@@ -47,6 +47,8 @@ class RerunRecorder(LeafSystem):
         path: path of the file; None if there are only viewers.
     """
 
+    _closed = True  # once `release` has deleted the recorder's attributes
+
     def __init__(
         self,
         path: Path | None,
