@@ -251,7 +251,7 @@ def test_a_finger_has_all_links_that_its_motors_move(description):
     links = {"thumb": range(3), "index": range(4), "middle": range(1, 4)}
     assert names[:3] == [[f"{finger}_l{i}" for i in numbers] for finger, numbers in links.items()]
     assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
-    with pytest.raises(HandError, match="needs a plant with a scene graph that is not finalized"):
+    with pytest.raises(HandError, match="cannot be added to a plant that is finalized"):
         add_hand_model(plant, description)
 
 

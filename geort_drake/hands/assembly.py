@@ -54,12 +54,12 @@ def add_hand_model(
 
     Raises:
         HandError: description or model are missing or malformed, the model lacks an element that the
-            description names, or the plant is finalized or has no scene graph.
+            description names, or the plant is finalized.
         UnknownNameError: no hand has that name.
     """
     description = load_hand(description)
-    if plant.is_finalized() or not plant.geometry_source_is_registered():
-        raise HandError(f"hand '{description.name}' needs a plant with a scene graph that is not finalized")
+    if plant.is_finalized():
+        raise HandError(f"hand '{description.name}' cannot be added to a plant that is finalized")
     path = resolve_uri(description.model)
     source = f"hand '{description.name}' with model {path}"
     if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
