@@ -88,7 +88,7 @@ def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: in
 
 
 def adapted(retarget: Callable, recording: Recording) -> Callable:
-    """A universal map's map of the person in the first second of a recording; other maps as they are."""
+    """Returns a universal map adapted to the first second of a recording; other maps as they are."""
     if not isinstance(retarget, UniversalRetargeter):
         return retarget
     return retarget.for_person(recording.tracked().p_HK[: max(1, round(recording.rate_hz * OBSERVED_S))])

@@ -86,7 +86,7 @@ class JointLimits:
         """Returns initial positions (n,), rad, in the order of the limits, after checks.
 
         Args:
-            positions: joint name → rad; a joint without one starts at 0, as in a hand's description.
+            positions: joint name → rad; a joint without one starts at 0, and other joints' are ignored.
             joints: n names, in the order of the limits.
 
         Raises:
