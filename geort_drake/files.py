@@ -122,15 +122,24 @@ def locked(folder: str | os.PathLike) -> Iterator[None]:
         Path(folder).mkdir(parents=True, exist_ok=True)
     handle = os.open(folder, os.O_RDONLY)
     try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise OutputError(f"{folder}: another process is writing to this folder") from error
-        except OSError:
-            pass  # some network disks have no locks
+        lock(handle, folder)
         yield
     finally:
         os.close(handle)
+
+
+def lock(handle: int, path: str | os.PathLike) -> None:
+    """Locks an open file or folder against other processes until it is closed.
+
+    Raises:
+        OutputError: another process has locked it.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise OutputError(f"{path}: another process is writing to it") from error
+    except OSError:
+        pass  # some network disks have no locks
 
 
 def _to_disk(path: Path) -> None:

@@ -19,7 +19,7 @@ from geort_drake.benchmark.statistics import (
     proportion,
     summarize,
 )
-from geort_drake.errors import BenchmarkError, ScenarioError
+from geort_drake.errors import BenchmarkError, OutputError, ScenarioError
 from geort_drake.simulation.scenario import Scenario, dump_scenario
 from geort_drake.simulation.worn_glove import WornGloveConfig
 
@@ -73,7 +73,7 @@ def test_every_way_to_end_is_read(tmp_path, changes):
 def test_two_processes_do_not_write_to_one_file(tmp_path):
     """The second is turned away as long as the first has the file open; without trials, no file remains."""
     path = tmp_path / "run" / "trials.jsonl"
-    with TrialLog(path), pytest.raises(BenchmarkError, match="another process is writing"):
+    with TrialLog(path), pytest.raises(OutputError, match="another process is writing"):
         TrialLog(path)
     assert not path.parent.exists()
     TrialLog(path).close()

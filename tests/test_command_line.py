@@ -17,7 +17,7 @@ from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
 from geort_drake import synthesize_play
-from geort_drake.cli import COMMANDS, main, parser_of, run_command
+from geort_drake.cli import COMMANDS, main, options, parser_of, run_command
 from geort_drake.cli.options import DEFAULT_METHOD, SHIPPED_METHOD, SIDES, CommandParser, write_json
 from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console, exit_code_of, progress_bar, run_main, warn
@@ -71,9 +71,11 @@ def test_python_m_and_scripts_are_the_same_program(tmp_path):
 
 def test_facts_repeated_for_help_agree_with_their_modules():
     """Methods and sides, which help lists without importing them."""
+    from geort_drake.benchmark import config
+    from geort_drake.export import episode, lerobot, parquet
     from geort_drake.people import recording
     from geort_drake.people.checks.anatomy import UNITS_M
-    from geort_drake.retargeting import methods
+    from geort_drake.retargeting import checkpoint, methods
     from geort_drake.retargeting.methods.geort.config import FORWARD_KINEMATICS, PRESETS
 
     assert DEFAULT_METHOD == methods.DEFAULT_METHOD
@@ -83,6 +85,8 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
     (unit,) = (action for action in parser_of("convert")._actions if action.dest == "unit")
     assert unit.choices == list(UNITS_M)
+    files = [episode.RESULTS, config.TRIALS, checkpoint.WEIGHTS, parquet.EPISODES, lerobot.INFO]
+    assert list(options.RESULT_FILES) == files
 
 
 # -- outputs

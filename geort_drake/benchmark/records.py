@@ -1,7 +1,6 @@
 """Reads and writes a benchmark's results: one JSON line per trial, readable after any interruption."""
 
 import contextlib
-import fcntl
 import json
 import math
 import os
@@ -10,8 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, NotRequired, TypedDict
 
 from geort_drake.benchmark.config import ERRORS, check, parse_json
-from geort_drake.errors import BenchmarkError, UnknownNameError
-from geort_drake.files import write_text, writing
+from geort_drake.errors import BenchmarkError, OutputError, UnknownNameError
+from geort_drake.files import lock, write_text, writing
 from geort_drake.simulation.tasks import find_task
 
 Record = dict[str, Any]
@@ -155,7 +154,8 @@ class TrialLog:
         torn: whether an incomplete last line was removed.
 
     Raises:
-        BenchmarkError: another process has opened the file, or see `read_records`.
+        OutputError: another process has opened the file.
+        BenchmarkError: see `read_records`.
     """
 
     def __init__(self, path: str | os.PathLike):
@@ -165,10 +165,10 @@ class TrialLog:
             # Unbuffered, because a buffer would keep a line that could not be written.
             self._file = open(self.path, "a+b", buffering=0)
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+            lock(self._file.fileno(), self.path)
+        except OutputError:
             self._file.close()
-            raise BenchmarkError(f"{self.path}: another process is writing to this file") from error
+            raise
         try:
             self._file.seek(0)
             whole, newline, rest = self._file.read().rpartition(b"\n")

@@ -162,11 +162,7 @@ def run(arguments: argparse.Namespace) -> int:
                 (arguments.output / RESULTS).unlink(missing_ok=True)
                 # The first trial's scenario; the others differ in object and seed, which are in results.json.
                 write_text(arguments.output / SCENARIO, dump_scenario(scenario))
-            (arguments.output / recorded.name).unlink(missing_ok=True)  # of an earlier run
-            if recorded.exists():
-                recorded.replace(arguments.output / recorded.name)
-                with contextlib.suppress(OSError):  # the folder may contain other files
-                    recorded.parent.rmdir()
+            _keep_recording(recorded, arguments.output)
             glove.save(arguments.output / f"{stem}.glove.npz")
             results.append(result)
             # Written after each trial, so that an interrupted run keeps the finished ones.
@@ -216,6 +212,16 @@ def scenarios_of(
             check_scenario(scenario)
             scenarios.append(scenario)
     return scenarios
+
+
+def _keep_recording(recorded: Path, folder: Path) -> None:
+    """Moves a complete trial's recording to its folder; without one, removes an earlier run's."""
+    kept = folder / recorded.name
+    kept.unlink(missing_ok=True)
+    if recorded.exists():
+        recorded.replace(kept)
+        with contextlib.suppress(OSError):  # the folder may contain other files
+            recorded.parent.rmdir()
 
 
 def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:

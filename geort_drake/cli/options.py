@@ -32,7 +32,7 @@ DEFAULT_SCENARIO = "Grasp"
 SHIPPED_METHOD = "universal"
 STDOUT = Path("-")
 # File in a results folder → the only commands that write it.
-_MARKS = {
+RESULT_FILES = {
     "results.json": "grasp",
     "trials.jsonl": "benchmark or replay",
     "weights.safetensors": "train or refit",
@@ -196,7 +196,7 @@ def _results_folder(mark: str) -> Callable[[str], Path]:
 
     def path(text: str) -> Path:
         folder = output_folder(text)
-        for name, commands in _MARKS.items():
+        for name, commands in RESULT_FILES.items():
             if name != mark and (folder / name).is_file() and (folder / name).stat().st_size:
                 raise OutputError(
                     f"{folder}: contains results of geort-drake {commands} ({name}); choose another folder"

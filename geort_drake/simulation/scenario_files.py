@@ -12,7 +12,6 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
 from geort_drake.simulation.scenario import ObjectConfig, Scenario, object_file
 from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.policy_correction import load_policy
@@ -58,7 +57,6 @@ def check_scenario(scenario: Scenario) -> None:
     Raises:
         ScenarioError: a field is wrong; the message names it, the rule and the value.
         UnknownNameError: there is no such object or task, or no such kind of person for the task.
-        PolicyError: the policy that corrects commands cannot be run.
     """
     task = find_task(scenario.task)
     if scenario.kind not in task.kinds:
@@ -102,9 +100,6 @@ def check_scenario(scenario: Scenario) -> None:
         whole = abs(period / step - round(period / step)) <= 1e-6
         _require(whole, name, f"a multiple of plant_config.time_step ({step} s)", period)
     object_file(scenario.object.name)
-    if scenario.correction.kind == "policy":
-        hand = HandModel(load_hand(scenario.hand))
-        load_policy(scenario.correction.policy, len(hand.joint_names))
 
 
 def _require(holds: bool, name: str, rule: str, value: object) -> None:
@@ -133,7 +128,8 @@ def load_scenario(
     Raises:
         ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
         UnknownNameError: there is no scenario of that name.
-        UnknownNameError, PolicyError: see `check_scenario`.
+        UnknownNameError: see `check_scenario`.
+        PolicyError: the policy that corrects commands cannot be run.
     """
     path = Path(file or find_task("grasp").scenario[0])
     if not path.is_file():
@@ -152,6 +148,8 @@ def load_scenario(
     scenario = _merged(path, name, text, Scenario())
     scenario.hand, scenario.task = hand or scenario.hand, task or scenario.task
     check_scenario(scenario)
+    if scenario.correction.kind == "policy":
+        load_policy(scenario.correction.policy, len(load_hand(scenario.hand).joint_names))
     return scenario
 
 

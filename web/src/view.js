@@ -205,8 +205,9 @@ export class View {
     this.stale = false;
     this.#move();
     (this.inHeadset ?? this.renderer).render(this.scene, this.camera);
+    if (!this.plain || !this.yielding) return;
     this.durations = [performance.now() - began, ...this.durations].slice(0, TIMED_PICTURES);
-    if (this.plain && this.yielding) this.next = Math.max(time, this.next + INTERVAL * Math.min(...this.durations));
+    this.next = Math.max(time, this.next + INTERVAL * Math.min(...this.durations));
   }
 }
 

@@ -70,8 +70,7 @@ class PersonalMap:
         self._retargeter, self._load = retargeter, load
         self.state: dict[str, str] | None = None
         self._fit: Refitting | None = None
-        self._fitted: Retargeter | None = None
-        self._fitted_file = retargeter
+        self._fitted: tuple[Path, Retargeter] | None = None
         self._takes_over = False
 
     @property
@@ -82,7 +81,7 @@ class PersonalMap:
     @property
     def file(self) -> Path:
         """File or directory of the map in use."""
-        return self._fitted_file if self.is_fitted else self._retargeter
+        return self._fitted[0] if self._fitted else self._retargeter
 
     def begin_session(self) -> None:
         """Makes a fitted map take over in the new session, too."""
@@ -116,13 +115,13 @@ class PersonalMap:
             if self.state == DONE:
                 fitted = self._load(self._fit.output)
                 assert isinstance(fitted, Retargeter)
-                self._fitted, self._fitted_file, self._takes_over = fitted, self._fit.output, True
+                self._fitted, self._takes_over = (self._fit.output, fitted), True
             if self.state["state"] != "running":
                 self._fit = None
         if self._fitted is None:
             return
         if self._takes_over:
-            loop.change_map(root, self._fitted)
+            loop.change_map(root, self._fitted[1])
             self._takes_over = False
         elif loop.state(root) == HELD_OTHER_PERSON:
             self._fitted = None
