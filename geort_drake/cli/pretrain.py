@@ -22,7 +22,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--output", type=output_file(".safetensors"), required=True, metavar="FILE", help="map to write")
     add("--people", type=at_least(1), default=800, metavar="N", help="number of people in the population")
     parser.add_seed("population and training")
-    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
+    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train; a GPU is hardly faster")
     setting = "change a setting; repeatable; an unknown NAME lists all settings"
     add("--set", action="append", default=[], metavar="NAME=VALUE", help=setting)
 
