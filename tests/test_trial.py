@@ -237,31 +237,19 @@ def test_nobody_approaches_farther_off_than_the_clearance():
 
 # -- a glove and a tracker with faults
 
-X_WH = RigidTransform([0.1, 0.2, 0.3])
 
-
-def measured(config: WornGloveConfig) -> tuple[np.ndarray, RigidTransform, float]:
-    """Keypoints (21, 3), wrist pose and validity of a hand whose keypoints are known."""
-    bench = SystemBench(WornGlove(config, 10.0, np.random.default_rng(0)))
-    bench.fix(keypoints=known_hand(), wrist_pose=X_WH, valid=1.0)
-    keypoints, pose, valid = (bench.value(name) for name in ("keypoints", "wrist_pose", "valid"))
-    return np.reshape(keypoints, (21, 3)), pose, valid[0]
-
-
-def known_hand() -> np.ndarray:
-    p_HK = np.random.default_rng(1).uniform(-0.1, 0.1, (21, 3))
-    p_HK[0] = 0.0
-    return p_HK
-
-
-def test_a_misaligned_tracker_turns_the_directions_of_motion():
+def test_a_misaligned_tracker_turns_the_directions_of_motion(rng):
     """By its angle; the keypoints stay."""
-    keypoints, pose, valid = measured(WornGloveConfig(misalignment=0.2))
-    np.testing.assert_allclose(keypoints, known_hand(), atol=1e-12)
+    p_HK, X_WH = rng.uniform(-0.1, 0.1, 63), RigidTransform([0.1, 0.2, 0.3])
+    p_HK[:3] = 0.0  # the wrist is the origin
+    bench = SystemBench(WornGlove(WornGloveConfig(misalignment=0.2), 10.0, rng))
+    bench.fix(keypoints=p_HK, wrist_pose=X_WH, valid=1.0)
+    np.testing.assert_allclose(bench.value("keypoints"), p_HK, atol=1e-12)
+    pose = bench.value("wrist_pose")
     turn = pose.rotation() @ X_WH.rotation().inverse()
     assert turn.ToAngleAxis().angle() == pytest.approx(0.2)
     np.testing.assert_allclose(pose.translation(), turn @ X_WH.translation())
-    assert valid == 1
+    assert bench.value("valid") == 1
 
 
 def test_dropouts_have_their_rate_and_their_duration():
