@@ -74,26 +74,20 @@ def map_of(network: UniversalNetwork, fingers: Sequence[str] = FINGERS) -> MapFi
     return MapFile(arrays, {"toy": "0"}, fingers, names, keypoints, hand.lower, hand.upper, {}, {})
 
 
-def retargeter_of(file: MapFile, backend: str = "numpy") -> UniversalRetargeter:
-    """The retargeter of a file."""
+def random_retargeter(fingers: Sequence[str] = FINGERS, backend: str = "numpy") -> UniversalRetargeter:
+    """The retargeter of that network."""
+    file = map_of(random_network(fingers), fingers)
     names = file.finger_names, file.joint_names, file.human_keypoints
     return UniversalRetargeter(file.arrays, *names, file.lower, file.upper, backend)
-
-
-def random_retargeter(backend: str = "numpy") -> UniversalRetargeter:
-    """The retargeter of a random network."""
-    return retargeter_of(map_of(random_network()), backend)
 
 
 @pytest.mark.parametrize("fingers", [("index", "thumb"), ("thumb", "index", "middle", "ring", "little")])
 def test_a_persons_map_is_the_network_with_their_code(fingers):
     """Folding the person into the weights changes nothing, for the average person and for an odd one."""
-    network = random_network(fingers)
-    file = map_of(network, fingers)
-    retarget = retargeter_of(file)
+    network, retarget = random_network(fingers), random_retargeter(fingers)
     for frames in (PLAY, 1.3 * PLAY[:5]):
         code, own = retarget.code(frames), retarget.for_person(frames)
-        p_HF = frames[::251, list(file.human_keypoints)]
+        p_HF = frames[::251, list(retarget.human_keypoints)]
         with torch.no_grad():
             wanted = network(torch.tensor(p_HF)[None], torch.tensor(code)[None].double())[0]
         np.testing.assert_allclose(own(p_HF), wanted, atol=1e-7)  # torch's limits are float32
@@ -138,20 +132,17 @@ def test_a_person_unlike_all_others_is_clamped_and_named():
     assert np.isfinite(retarget.folded(odd)(PLAY)).all()
 
 
-def test_a_file_gives_the_map_back(tmp_path):
-    """In single precision, with the names of its hands; a shipped name lists the choices when unknown."""
+def test_a_file_gives_the_map_back_and_one_that_is_no_map_is_refused(tmp_path):
+    """In single precision, with the names of its hands; a shipped name lists the choices when unknown.
+
+    Refused is a file that is damaged, of another format, or without an array.
+    """
     path = tmp_path / "map.safetensors"
     map_of(random_network()).save(path)
     np.testing.assert_allclose(load_retargeter(path)(PLAY), random_retargeter()(PLAY), atol=1e-5)
     assert load_map(path).hands == {"toy": "0"}
     with pytest.raises(CheckpointError, match=r"neither a checkpoint.*shipped"):
         load_retargeter("allegro_middle")
-
-
-def test_a_file_that_is_no_map_is_refused(tmp_path):
-    """Damaged, of another format, or without an array."""
-    path = tmp_path / "map.safetensors"
-    map_of(random_network()).save(path)
     whole = path.read_bytes()
     for contents, message in (
         (whole[:-9], "not a safetensors file"),
@@ -273,6 +264,11 @@ class Session(Bench):
         super().__init__(retarget, PERIOD, start=start, limits=limits, checks=checks)
         self.watch = Watch(limits, PERIOD, start)
 
+    @property
+    def known(self) -> PersonFollowing:
+        """What is known of the person."""
+        return self.context.get_abstract_state(0).get_value()
+
     def show(self, frames, valid=1.0):
         """Joint targets (T, n), and the last status; every command keeps the limits."""
         positions = []
@@ -291,10 +287,8 @@ def test_the_first_frame_is_followed_and_the_person_gets_known():
     assert status.state == LEARNING
     _, status = session.show(PLAY[1 : 4 * LEARNED_AFTER])
     assert status.state in FOLLOWED and status.state != LEARNING
-    known = session.context.get_abstract_state(0).get_value()
-    np.testing.assert_allclose(
-        known.code[: 7 * F], RETARGET.code(PLAY[: 4 * LEARNED_AFTER])[: 7 * F], atol=0.1
-    )
+    code = RETARGET.code(PLAY[: 4 * LEARNED_AFTER])
+    np.testing.assert_allclose(session.known.code[: 7 * F], code[: 7 * F], atol=0.1)
 
 
 def test_a_new_map_takes_over_evenly():
@@ -313,14 +307,14 @@ def test_a_fitted_map_takes_over_without_a_jump_and_stays():
     session = Session()
     session.show(PLAY[:60])
     fitted = RETARGET.folded(RETARGET.code(OTHER))
-    before = session.context.get_abstract_state(0).get_value()
+    before = session.known
     assert session.system.change_map(session.context, fitted)
-    known, now = session.context.get_abstract_state(0).get_value(), session.context.get_time()
-    np.testing.assert_allclose(known.retarget(PLAY[9], now), before.retarget(PLAY[9], now))
+    now = session.context.get_time()
+    np.testing.assert_allclose(session.known.retarget(PLAY[9], now), before.retarget(PLAY[9], now))
     q, _ = session.show(PLAY[60 : 4 * LEARNED_AFTER])
     np.testing.assert_allclose(q[-1], fitted(PLAY[4 * LEARNED_AFTER - 1]), atol=1e-6)
     session.show(OTHER[:400])
-    assert not session.context.get_abstract_state(0).get_value().own
+    assert not session.known.own
     assert not Session(fitted).system.change_map(session.context, fitted)
 
 
@@ -338,9 +332,8 @@ def test_another_person_is_held_named_and_followed():
     np.testing.assert_array_equal(held[-1], held[20])
     after = states[first + len(held) :]
     assert len(held) < 110 and HELD_OTHER_PERSON not in after and set(after) <= set(FOLLOWED)
-    known = session.context.get_abstract_state(0).get_value()
     lengths = RETARGET.code(OTHER)[3 * F : 4 * F]
-    np.testing.assert_allclose(known.observer.observation().lengths, lengths, rtol=1e-6)
+    np.testing.assert_allclose(session.known.observer.observation().lengths, lengths, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -355,10 +348,10 @@ def test_bad_input_teaches_nothing(frames, valid, state):
     """Frozen, lost and broken hands are reported as ever."""
     session = Session()
     session.show(PLAY[:300])
-    before = session.context.get_abstract_state(0).get_value().observer
+    before = session.known.observer
     _, status = session.show(frames, valid)
     assert status.state == state
-    assert len(session.context.get_abstract_state(0).get_value().observer.shapes) <= len(before.shapes) + 2
+    assert len(session.known.observer.shapes) <= len(before.shapes) + 2
 
 
 def test_what_is_no_hand_is_held_and_an_unusual_hand_is_followed_and_named():
