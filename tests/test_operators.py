@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 from collections import deque
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -86,20 +87,9 @@ class StandInWorld:
         return self._past[0]
 
 
-@dc.dataclass
-class Session:
-    phases: list[Phase]
-    theta: np.ndarray
-    wrist: np.ndarray
-    attempts: int
-    raised: float
-    squeeze: float
-    duration: float
-
-
 def act(
     gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, kind: str | None = None, **changes: float
-) -> Session:
+) -> SimpleNamespace:
     """Lets a person grasp, or a kind of one grasp and place, in the stand-in world.
 
     Ends one second into the hold, or after the lift.
@@ -129,14 +119,13 @@ def act(
         is_held = state.phase == Phase.HOLD and step * config.period > state.phase_start + 1.0
         if is_held or state.phase == Phase.CARRY:
             break
-    return Session(
+    return SimpleNamespace(
         phases=phases,
         theta=np.array(theta),
         wrist=np.array(wrist),
         attempts=state.attempt,
         raised=float(world.X_WO.translation()[2] - p_WO[2]),
         squeeze=float(np.mean(squeeze[-1])) if squeeze else 0.0,
-        duration=step * config.period,
     )
 
 
