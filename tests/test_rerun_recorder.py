@@ -79,8 +79,7 @@ def test_a_screenshot_is_a_picture_or_a_reason(tmp_path, monkeypatch):
 def test_properties_keep_their_types_from_one_recording_to_the_next(tmp_path):
     """Rerun remembers the first type of a name; that must not leak between recordings."""
     for number, seed in enumerate((3, "three", 3.5, True)):
-        world = World().finalize()
-        world.record(tmp_path / f"{number}.rrd", properties={"seed": seed})
+        world = World().finalize().record(tmp_path / f"{number}.rrd", properties={"seed": seed})
         world.recorder.set_properties({"outcome": "held"})
         world.recorder.close()
         _, value = read(world.recorder.path, "/__properties/run", "seed")
@@ -223,9 +222,7 @@ def test_batches_add_up_to_what_the_file_holds(tmp_path, at_once):
 
 def test_without_a_file_samples_are_dropped_once_sent(tmp_path, at_once):
     """A session may go on for hours."""
-    world = World().finalize()
-    world.record(None, viewers=[viewer()])
-    looked_at(world, tmp_path / "seen.rrd")
+    world = looked_at(World().finalize().record(None, viewers=[viewer()]), tmp_path / "seen.rrd")
     assert world.recorder.path is None
     with world.recorder:
         world.simulator.AdvanceTo(0.2)
@@ -237,9 +234,8 @@ def test_without_a_file_samples_are_dropped_once_sent(tmp_path, at_once):
 def test_a_server_and_a_file_at_once(tmp_path):
     """The server listens while the simulation runs, and the file is whole after it."""
     port = free_port()
-    world = World().finalize()
     server = rr.GrpcServerSink("127.0.0.1", port)
-    world.record(tmp_path / "file.rrd", viewers=[server])
+    world = World().finalize().record(tmp_path / "file.rrd", viewers=[server])
     world.simulator.AdvanceTo(0.1)
 
     def connected():
@@ -255,8 +251,7 @@ def test_a_server_and_a_file_at_once(tmp_path):
 def test_a_viewer_that_is_not_there_costs_the_file_nothing(tmp_path, monkeypatch):
     """One forgets to start the viewer, or closes it."""
     monkeypatch.setattr("geort_drake.rerun.writer.FLUSH_TIMEOUT", 0.1)
-    world = World().finalize()
-    world.record(tmp_path / "file.rrd", viewers=[viewer()])
+    world = World().finalize().record(tmp_path / "file.rrd", viewers=[viewer()])
     world.simulator.AdvanceTo(0.1)
     with pytest.warns(UserWarning, match="viewer did not receive all data"):
         world.recorder.close()
@@ -305,13 +300,6 @@ def laid_out(monkeypatch):
     return SimpleNamespace(views=found, pages=pages)
 
 
-def eye_of(view):
-    """Where the eye is, what it looks at, and what is up."""
-    eye = view.properties["EyeControls3D"]
-    fields = (eye.position, eye.look_target, eye.eye_up)
-    return [np.array(field.as_arrow_array().to_pylist()[0]) for field in fields]
-
-
 def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
     """Commanded and measured values share a plot; fingers are in their order; contact comes first."""
     world = World().finalize()
@@ -341,7 +329,8 @@ def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
         X_WU = world.plant.EvalBodyPoseInWorld(world.context, world.upper)
     view = laid_out.views["arm"]
     assert (view.origin, view.contents) == ("/world/arm/upper", ["/world/**"])
-    eye, _, up = eye_of(view)
+    controls = view.properties["EyeControls3D"]
+    eye, up = (field.as_arrow_array().to_pylist()[0] for field in (controls.position, controls.eye_up))
     np.testing.assert_allclose(eye, [0.3, 0, 0.1], atol=1e-6)
     # The last sample may be one step of the plant earlier.
     np.testing.assert_allclose(up, X_WU.rotation().matrix()[2], atol=0.02)
@@ -351,18 +340,12 @@ def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
     assert set(laid_out.views["scene"].visualizer_overrides) == {"/world/path"}
 
 
-def inside(world):
-    """The world's diagram as a system of another builder's, with the plant's ports exported."""
-    for name in ("body_poses", "contact_results"):
-        world.builder.ExportOutput(world.plant.GetOutputPort(name), name)
-    outer = DiagramBuilder()
-    return outer, outer.AddNamedSystem("robot", world.builder.Build())
-
-
 def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
     """Without them the error says how to export, before anything is added."""
-    world = World(height=2.0).finalize()
-    outer, robot = inside(world)
+    world, outer, names = World(height=2.0).finalize(), DiagramBuilder(), ("body_poses", "contact_results")
+    for name in names:
+        world.builder.ExportOutput(world.plant.GetOutputPort(name), name)
+    robot = outer.AddNamedSystem("robot", world.builder.Build())
     for ports, message in (
         ({}, r"no\.rrd: 'body_poses'.*ExportOutput.*plant_ports=\{'body_poses'"),
         ({"body_poses": "body_poses"}, "'contact_results': .* is not in the diagram"),
@@ -372,7 +355,7 @@ def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
         with pytest.raises(ScenarioError, match=message):
             add_rerun_recorder(outer, world.plant, world.scene_graph, tmp_path / "no.rrd", plant_ports=given)
     assert outer.GetSystems() == [robot]
-    ports = {name: robot.GetOutputPort(name) for name in ("body_poses", "contact_results")}
+    ports = {name: robot.GetOutputPort(name) for name in names}
     recorder = add_rerun_recorder(
         outer, world.plant, world.scene_graph, tmp_path / "in.rrd", plant_ports=ports, period=0.1
     )

@@ -2,6 +2,7 @@
 
 import io
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -210,11 +211,8 @@ def test_an_obj_file_has_the_colours_and_textures_of_its_materials(tmp_path):
 def test_a_damaged_file_is_drawn_as_its_hull_or_left_out(tmp_path):
     mesh = Mesh(write_gltf(tmp_path, "lost.bin"))
     (tmp_path / "lost.bin").unlink()
-    world = World()
-    world.plant.RegisterVisualGeometry(world.ball, RigidTransform(), mesh, "mesh", [1, 1, 1, 1])
     with pytest.warns(UserWarning) as warned:
-        world.finalize().record(tmp_path / "mesh.rrd")
-    world.recorder.close()
+        drawn(tmp_path, mesh)
     text = " ".join(str(warning.message) for warning in warned)
     assert "mesh: drawn as its convex hull; " in text
     assert "mesh: cannot draw a Mesh" in text  # Drake cannot compute a hull of it either
@@ -223,12 +221,23 @@ def test_a_damaged_file_is_drawn_as_its_hull_or_left_out(tmp_path):
 # -- signals, states, hands, points, cameras, contact
 
 
-def test_signals_are_grouped_by_the_part_before_the_slash(tmp_path):
-    """Each group is one entity with its own named series."""
-    world = World().finalize()
+def test_signals_are_grouped_by_the_part_before_the_slash_and_may_be_derived(tmp_path):
+    """Each group is one entity with its own named series.
+
+    Derived values are computed on writing, from several ports and for all samples at once; a shared port is
+    read once.
+    """
+    world = World(height=2.0).finalize()
     port = steps(world.builder, [0, 0.05, 1], [[1, 2, 2], [3, 4, 4], [5, 6, 6]])
+    ports = [port, constant(world.builder, [10])]
     names = ["index/a", "thumb/b", "index/c"]
-    world.record(tmp_path / "s.rrd", specs={"joints/command": SignalSpec(port, names, "command")}, until=0.08)
+    specs = {
+        "joints/command": SignalSpec(port, names, "command"),
+        "joints/sum": SignalSpec(ports, ["a", "b", "c"], derive=lambda v: v[:, :3] + v[:, 3:]),
+    }
+    world.record(tmp_path / "s.rrd", specs=specs, until=0.08)
+    inputs = [world.recorder.get_input_port(i).get_name() for i in range(world.recorder.num_input_ports())]
+    assert inputs == ["body_poses", "contact_results", "joints/command", "joints/sum/1"]
     times, values = read(world.recorder.path, "/joints/command/index", "Scalars:scalars")
     before = np.array(times) < 0.05
     np.testing.assert_array_equal(np.array(values)[before], np.tile([1, 5], (3, 1)))
@@ -237,6 +246,8 @@ def test_signals_are_grouped_by_the_part_before_the_slash(tmp_path):
     assert labels[0].tolist() == ["a command", "c command"]
     _, values = read(world.recorder.path, "/joints/command/thumb", "Scalars:scalars")
     assert values[-1].tolist() == [4]
+    _, sums = read(world.recorder.path, "/joints/sum", "Scalars:scalars")
+    np.testing.assert_allclose(sums, [[11, 13, 15]] * 3 + [[12, 14, 16]] * 2)
 
 
 def test_states_are_written_where_they_change(tmp_path):
@@ -277,55 +288,34 @@ def test_the_hand_is_drawn_where_it_is_tracked(tmp_path, rng):
     np.testing.assert_allclose(end, p_WK[children], atol=1e-6)
 
 
-def test_points_follow_the_frame_they_are_measured_in(tmp_path):
-    """Coordinates in a moving frame are drawn in the world; points with a NaN are left out."""
+def test_points_follow_the_frame_they_are_measured_in_and_keep_their_colours(tmp_path):
+    """Coordinates in a moving frame are drawn in the world; points of glass are ellipsoids.
+
+    One that is not a number is left out, and takes its colour along.
+    """
     world = World(height=2.0)
     offset = RigidTransform(RollPitchYaw(0, np.pi / 2, 0), [0, 0, 0.1])
     frame = world.plant.AddFrame(FixedOffsetFrame("F", world.ball.body_frame(), offset))
     world.finalize()
-    port = constant(world.builder, [0.5, 0, 0, np.nan, 0, 0])
-    world.record(tmp_path / "pts.rrd", specs={"goal": PointsSpec(port, frame=frame)})
+    colors = [(255, 0, 0, 100), (0, 255, 0, 100), (0, 0, 255, 100)]
+    beads = constant(world.builder, [1, 0, 0, np.nan, 0, 0, 3, 0, 0])
+    points = {
+        "goal": PointsSpec(constant(world.builder, [0.5, 0, 0, np.nan, 0, 0]), frame=frame),
+        "glass": PointsSpec(beads, radius=0.02, color=colors),
+    }
+    world.record(tmp_path / "pts.rrd", specs=points)
     world.simulator.AdvanceTo(0.2)
     p_WB = world.plant.EvalBodyPoseInWorld(world.context, world.ball).translation()
     world.recorder.close()
-    _, points = read(world.recorder.path, "/world/goal", "Points3D:positions")
+    _, found = read(world.recorder.path, "/world/goal", "Points3D:positions")
     # Pitch by a right angle turns x to -z.
-    np.testing.assert_allclose(points[-1], [p_WB + [0, 0, 0.1 - 0.5]], atol=1e-6)
-
-
-def test_points_of_several_colours_keep_theirs(tmp_path):
-    """One that is not a number takes its colour along; points of glass are ellipsoids."""
-    world = World().finalize()
-    port = constant(world.builder, [1, 0, 0, np.nan, 0, 0, 3, 0, 0])
-    colors = [(255, 0, 0, 100), (0, 255, 0, 100), (0, 0, 255, 100)]
-    points = {"glass": PointsSpec(port, radius=0.02, color=colors)}
-    world.record(tmp_path / "c.rrd", specs=points, until=0.04)
+    np.testing.assert_allclose(found[-1], [p_WB + [0, 0, 0.1 - 0.5]], atol=1e-6)
     _, found = read(world.recorder.path, "/world/glass", "Ellipsoids3D:centers")
     np.testing.assert_allclose(found[-1], [[1, 0, 0], [3, 0, 0]])
     _, shades = read(world.recorder.path, "/world/glass", "Ellipsoids3D:colors")
     assert shades[-1].tolist() == [0xFF000064, 0x0000FF64]
     _, sizes = read(world.recorder.path, "/world/glass", "Ellipsoids3D:half_sizes")
     np.testing.assert_allclose(sizes[-1], np.full((2, 3), 0.02), rtol=1e-6)
-
-
-def test_derived_values_are_computed_on_writing(tmp_path):
-    """From several ports, for all samples at once; a shared port is read once."""
-    world = World(height=2.0).finalize()
-    one = steps(world.builder, [0, 0.1, 1], [[1, 2, 2], [3, 4, 4]])
-    other = constant(world.builder, [10])
-    world.record(
-        tmp_path / "d.rrd",
-        period=0.05,
-        specs={
-            "one/raw": SignalSpec(one, ["a", "b"]),
-            "one/sum": SignalSpec([one, other], ["a", "b"], derive=lambda v: v[:, :2] + v[:, 2:]),
-        },
-        until=0.12,
-    )
-    inputs = [world.recorder.get_input_port(i).get_name() for i in range(world.recorder.num_input_ports())]
-    assert inputs == ["body_poses", "contact_results", "one/raw", "one/sum/1"]
-    _, found = read(world.recorder.path, "/one/sum", "Scalars:scalars")
-    np.testing.assert_allclose(found, [[11, 13], [11, 13], [12, 14]])
 
 
 @pytest.mark.parametrize(
@@ -363,37 +353,18 @@ def test_ports_that_do_not_fit_are_refused(tmp_path, options, message):
     assert world.builder.GetSystems() == systems
 
 
-class RedCamera(LeafSystem):
-    """Has what a recorder asks an `RgbdSensor` for, and needs no graphics driver: it sees red."""
+class RedPictures(LeafSystem):
+    """A camera's images, of nothing but red, and how many were taken."""
 
-    def __init__(self, X_BC):
+    def __init__(self):
         super().__init__()
-        core = RenderCameraCore("red", CameraInfo(64, 48, np.pi / 4), ClippingRange(0.1, 9), X_BC)
-        self._camera = ColorRenderCamera(core)
-        self.pictures = 0
-        self.DeclareAbstractInputPort("X_WB", AbstractValue.Make(RigidTransform()))
-        self.DeclareAbstractOutputPort(
-            "color_image", lambda: AbstractValue.Make(ImageRgba8U(64, 48)), self._see
-        )
-        self.DeclareAbstractOutputPort(
-            "body_pose_in_world", lambda: AbstractValue.Make(RigidTransform()), self._stand
-        )
+        self.taken = 0
+        picture = AbstractValue.Make(ImageRgba8U(64, 48))
+        self.DeclareAbstractOutputPort("color_image", picture.Clone, self._take)
 
-    def _see(self, _context, image):
-        self.pictures += 1
+    def _take(self, _context, image):
+        self.taken += 1
         image.get_mutable_value().mutable_data[:] = [255, 0, 0, 255]
-
-    def _stand(self, context, X_WB):
-        X_WB.set_value(self.GetInputPort("X_WB").Eval(context))
-
-    def default_color_render_camera(self):
-        return self._camera
-
-    def color_image_output_port(self):
-        return self.GetOutputPort("color_image")
-
-    def body_pose_in_world_output_port(self):
-        return self.GetOutputPort("body_pose_in_world")
 
 
 def test_cameras_give_images_and_poses(tmp_path):
@@ -401,15 +372,22 @@ def test_cameras_give_images_and_poses(tmp_path):
     world = World().finalize()
     X_WB = RigidTransform(RollPitchYaw(np.pi, 0, 0.3), [0, 0, 0.2])
     X_BC = RigidTransform([0.01, 0, 0])
-    sensor = world.builder.AddSystem(RedCamera(X_BC))
-    world.builder.Connect(pose_source(world.builder, X_WB), sensor.get_input_port())
+    pictures = world.builder.AddSystem(RedPictures())
+    core = RenderCameraCore("red", CameraInfo(64, 48, np.pi / 4), ClippingRange(0.1, 9), X_BC)
+    camera, stand = ColorRenderCamera(core), pose_source(world.builder, X_WB)
+    # What a recorder asks an `RgbdSensor` for, which itself needs a graphics driver.
+    sensor = SimpleNamespace(
+        color_image_output_port=pictures.get_output_port,
+        body_pose_in_world_output_port=lambda: stand,
+        default_color_render_camera=lambda: camera,
+    )
     world.record(
         tmp_path / "camera.rrd", specs={"eye": CameraSpec(sensor, period=0.1)}, period=0.05, until=0.4
     )
-    times, pictures = read(world.recorder.path, "/world/eye", "EncodedImage:blob")
+    times, seen = read(world.recorder.path, "/world/eye", "EncodedImage:blob")
     np.testing.assert_allclose(times, np.arange(5) * 0.1, atol=1e-9)
-    assert sensor.pictures == 5
-    picture = Image.open(io.BytesIO(np.asarray(pictures[-1][0], dtype=np.uint8).tobytes()))
+    assert pictures.taken == 5
+    picture = Image.open(io.BytesIO(np.asarray(seen[-1][0], dtype=np.uint8).tobytes()))
     assert picture.size == (64, 48)
     np.testing.assert_allclose(np.asarray(picture).reshape(-1, 3).mean(axis=0), [255, 0, 0], atol=3)
     _, p_WC = read(world.recorder.path, "/world/eye", "Transform3D:translation")
