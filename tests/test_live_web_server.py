@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 import json
 import random
 import re
@@ -66,26 +67,29 @@ async def greet(page) -> dict:
     return await next_text(page)
 
 
-def talk(conversation):
-    """Runs a coroutine function with a client's session."""
+@contextlib.asynccontextmanager
+async def page_of(base: str, **options):
+    """A page's connection, with options of `ws_connect`."""
+    async with aiohttp.ClientSession() as session:
+        async with session.ws_connect(f"{base}/ws?key={KEY}", **options) as page:
+            yield page
 
-    async def run():
-        async with aiohttp.ClientSession() as session:
-            return await conversation(session)
 
-    return asyncio.run(run())
+def asynchronous(test):
+    """Lets a test be a coroutine function."""
+    return functools.wraps(test)(lambda *given, **named: asyncio.run(test(*given, **named)))
 
 
 # -- pages and gates
 
 
-def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_path):
+@asynchronous
+async def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_path):
     (tmp_path / "index.html").write_text("a page")
     (tmp_path / "app.js").write_text("a script")
     with serving(tmp_path) as (server, _, base):
         server.show(b'{"scene": 7}', [b"triangles"])
-
-        async def fetch(session):
+        async with aiohttp.ClientSession() as session:
             for path, expected in (("/", "a page"), ("/app.js", "a script"), ("/mesh/0", "triangles")):
                 async with session.get(base + path) as answer:
                     assert await answer.text() == expected
@@ -95,22 +99,17 @@ def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_path):
             for path in ("/mesh/1", "/..%2f..%2fetc/passwd", "/none.js"):
                 async with session.get(base + path) as answer:
                     assert answer.status == 404
-
-        talk(fetch)
     # Without a built page it says how to build it.
     with serving() as (_, _, base):
-
-        async def read(session):
-            async with session.get(base) as answer:
-                assert "make live" in await answer.text()
-
-        talk(read)
+        async with aiohttp.ClientSession() as session, session.get(base) as answer:
+            assert "make live" in await answer.text()
 
 
-def test_a_wrong_key_a_foreign_page_and_a_ninth_connection_are_turned_away():
+@asynchronous
+async def test_a_wrong_key_a_foreign_page_and_a_ninth_connection_are_turned_away():
     with serving() as (server, _, base):
+        async with aiohttp.ClientSession() as session, contextlib.AsyncExitStack() as stack:
 
-        async def knock(session):
             async def status(key: str, origin: str | None = None) -> int:
                 headers = {"Origin": origin} if origin else {}
                 try:
@@ -123,12 +122,9 @@ def test_a_wrong_key_a_foreign_page_and_a_ninth_connection_are_turned_away():
             assert await status(KEY, "http://evil.example") == 403
             assert await status(KEY, f"https://127.0.0.1:{server.port}") == 403
             assert await status(KEY, base) == await status(KEY) == 101
-            async with contextlib.AsyncExitStack() as stack:
-                for _ in range(8):
-                    await stack.enter_async_context(session.ws_connect(f"{base}/ws?key={KEY}"))
-                assert await status(KEY) == 503
-
-        talk(knock)
+            for _ in range(8):
+                await stack.enter_async_context(page_of(base))
+            assert await status(KEY) == 503
 
 
 def test_a_port_in_use_is_an_error_in_words():
@@ -137,70 +133,62 @@ def test_a_port_in_use_is_an_error_in_words():
             WebServer(station, "127.0.0.1", server.port, KEY)
 
 
-def test_beyond_this_machine_there_is_a_certificate():
+@asynchronous
+async def test_beyond_this_machine_there_is_a_certificate():
     assert is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("localhost")
     assert not is_loopback("0.0.0.0") and not is_loopback("192.168.1.2") and not is_loopback("desk.local")
     assert "0.0.0.0" not in own_addresses("0.0.0.0")
-    with serving(tls=self_signed_context(["127.0.0.1", "desk.local"])) as (_, _, base):
-
-        async def enter(session):
-            async with session.ws_connect(f"{base}/ws?key={KEY}", ssl=False) as page:
-                assert (await greet(page))["role"] == "operator"
-            with pytest.raises(aiohttp.ClientConnectorCertificateError):
-                await session.get(base)
-
-        talk(enter)
-        host, port = base.removeprefix("https://").split(":")
-        certificate = ssl.get_server_certificate((host, int(port)))
+    with serving(tls=self_signed_context(["127.0.0.1", "desk.local"])) as (server, _, base):
+        async with page_of(base, ssl=False) as page:
+            assert (await greet(page))["role"] == "operator"
+        with pytest.raises(aiohttp.ClientConnectorCertificateError):
+            async with page_of(base):
+                pass
+        certificate = ssl.get_server_certificate(("127.0.0.1", server.port))
         assert "BEGIN CERTIFICATE" in certificate
 
 
-def test_states_and_frames_reach_the_page_and_refusals_are_few():
+@asynchronous
+async def test_states_and_frames_reach_the_page_and_refusals_are_few():
     with serving() as (server, station, base):
-
-        async def listen(session):
-            async with session.ws_connect(f"{base}/ws?key={KEY}") as page:
-                await greet(page)
-                began, told = time.monotonic(), []
-                for _ in range(50):
-                    await page.send_str("nonsense")
-                while station.refused < 50:
-                    await asyncio.sleep(0.01)
-                server.publish('{"type": "state"}', b"poses")
-                while (message := await page.receive()).type == aiohttp.WSMsgType.TEXT:
-                    told.append(json.loads(message.data)["type"])
-                assert message.type == aiohttp.WSMsgType.BINARY
-                assert told.pop() == "state" and {*told} == {"refused"}
-                assert len(told) <= 1 + time.monotonic() - began  # one a second
-
-        talk(listen)
+        async with page_of(base) as page:
+            await greet(page)
+            began, told = time.monotonic(), []
+            for _ in range(50):
+                await page.send_str("nonsense")
+            while station.refused < 50:
+                await asyncio.sleep(0.01)
+            server.publish('{"type": "state"}', b"poses")
+            while (message := await page.receive()).type == aiohttp.WSMsgType.TEXT:
+                told.append(json.loads(message.data)["type"])
+            assert message.type == aiohttp.WSMsgType.BINARY
+            assert told.pop() == "state" and {*told} == {"refused"}
+            assert len(told) <= 1 + time.monotonic() - began  # one a second
 
 
 @pytest.mark.parametrize("fault", ["a long message", "a flood"])
-def test_who_sends_too_much_is_disconnected_and_leaves_the_controls(fault):
+@asynchronous
+async def test_who_sends_too_much_is_disconnected_and_leaves_the_controls(fault):
     with serving() as (server, station, base):
+        async with page_of(base) as page:
+            await greet(page)
 
-        async def send(session):
-            async with session.ws_connect(f"{base}/ws?key={KEY}") as page:
-                await greet(page)
+            async def speak():
+                while True:
+                    await page.send_str("x" if fault == "a flood" else "x" * (MAX_BYTES + 1))
+                    await asyncio.sleep(0)
 
-                async def speak():
-                    while True:
-                        await page.send_str("x" if fault == "a flood" else "x" * (MAX_BYTES + 1))
-                        await asyncio.sleep(0)
-
-                speaking = asyncio.create_task(speak())
-                while not page.closed:
-                    await page.receive()
-                speaking.cancel()
-                return page.close_code
-
-        assert talk(send) in (1008, 1009, 1006)
+            speaking = asyncio.create_task(speak())
+            while not page.closed:
+                await page.receive()
+            speaking.cancel()
+            assert page.close_code in (1008, 1009, 1006)
         wait_for(lambda: station.operator is None or None, PATIENCE_S, lambda: "it still has the controls")
         assert (server.dropped == 1000) == (fault == "a flood")
 
 
-def test_a_hundred_broken_connections_leave_the_server_serving():
+@asynchronous
+async def test_a_hundred_broken_connections_leave_the_server_serving():
     """Garbage, half a handshake, frames that are none, and connections that end in the middle."""
     rng = random.Random(1)
     with serving() as (server, station, base):
@@ -217,12 +205,8 @@ def test_a_hundred_broken_connections_leave_the_server_serving():
                     wire.sendall(rng.randbytes(30))
                 if number % 2:  # the end comes as a reset
                     wire.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-
-        async def enter(session):
-            async with asyncio.timeout(PATIENCE_S), session.ws_connect(f"{base}/ws?key={KEY}") as page:
-                return (await greet(page))["role"]
-
-        assert talk(enter) == "operator"
+        async with asyncio.timeout(PATIENCE_S), page_of(base) as page:
+            assert (await greet(page))["role"] == "operator"
         wait_for(lambda: station.spectators == 0 or None, PATIENCE_S, lambda: "they still look on")
 
 
