@@ -257,9 +257,6 @@ def test_monitor_measures_the_slip_of_the_last_lift():
     assert np.isnan(run_monitor([0.0, 0.0], [[1, 1]] * 2).slip)
 
 
-LOOK = 0.01  # s
-
-
 @pytest.mark.parametrize(("loose", "drops"), [(10, 0), (11, 1)])
 def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
     """Aloft, fewer than two fingers for 0.1 s are one drop; the slip goes on through a shorter loss."""
@@ -267,8 +264,8 @@ def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
     touched = [[1, 1]] * 11 + [[1, 0]] * loose + [[1, 1]] * 10
     # The hand moves by 10 mm before the loss and by 5 mm after it.
     hands = [0.05] * 6 + [0.06] * (5 + loose) + [0.065] * 10
-    outcome = run_monitor(heights, touched, period=LOOK, hand_heights=hands)
+    outcome = run_monitor(heights, touched, period=0.01, hand_heights=hands)
     assert outcome.drops == drops
     assert outcome.slip == pytest.approx(0.0 if drops else 0.015)
-    longer = run_monitor(heights, touched, period=LOOK, hand_heights=hands, drop_time=0.5)
+    longer = run_monitor(heights, touched, period=0.01, hand_heights=hands, drop_time=0.5)
     assert longer.drops == 0
