@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from geort_drake import Recording, synthesize_play
+from geort_drake import Recording
 from geort_drake.cli import run_command
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.coverage import PINCHES, coverage, finger_motions, pinch_distances, pinches
@@ -118,14 +118,13 @@ def test_ranges_are_the_turns_of_the_joints():
         assert seen(swept(f"{finger}_mcp_flexion", 60.0), f"{finger} moves sideways") < 2.0
 
 
-def test_motions_are_those_of_the_fingers_learned_from():
+def test_motions_are_those_of_the_fingers_learned_from(play):
     """A still hand lacks every motion of them; other fingers do not matter; play lacks nothing."""
     still = finger_motions(swept("index_mcp_abduction", 0.0), (4, 8))
     assert [motion.name for motion in still if not motion.enough] == [
         "thumb bends", "thumb sweeps across the palm", "thumb lifts off the palm",
         "index bends", "index moves sideways",
     ]  # fmt: skip
-    play = synthesize_play(1, duration_s=60.0, rate_hz=30.0)
     assert all(motion.enough for motion in finger_motions(play.p_HK))
 
 
