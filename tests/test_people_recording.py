@@ -1,6 +1,5 @@
 """Recordings: their file, those that are kept while they are made, and the commands around them."""
 
-import dataclasses
 import dataclasses as dc
 import json
 import os
@@ -26,9 +25,8 @@ def test_a_recording_survives_saving_and_loading(tmp_path):
     """All arrays, the metadata and the digest are the same after a round trip through the file."""
     recording = recorded()
     pose = np.tile([1.0, 0, 0, 0, 0.1, 0.2, 0.3], (len(recording), 1))
-    recording = dataclasses.replace(
-        recording, X_WH=pose, metadata={"side": "left", "subject": "ä", "warnings": ["w"]}
-    )
+    metadata = {"side": "left", "subject": "ä", "warnings": ["w"]}
+    recording = dc.replace(recording, X_WH=pose, metadata=metadata)
     recording.save(tmp_path / "r.npz")
     loaded = Recording.load(tmp_path / "r.npz")
     for name in ("t", "p_HK", "valid", "X_WH"):
@@ -50,8 +48,8 @@ def test_the_digest_tells_recordings_apart():
     lost[5] = False
     later[-1] += 1e-9
     others = [{"p_HK": moved}, {"valid": lost}, {"t": later}, {"metadata": {"side": "left"}}]
-    assert len({recording.digest, *(dataclasses.replace(recording, **other).digest for other in others)}) == 5
-    assert dataclasses.replace(recording, metadata={"side": "right", "note": "x"}).digest == recording.digest
+    assert len({recording.digest, *(dc.replace(recording, **other).digest for other in others)}) == 5
+    assert dc.replace(recording, metadata={"side": "right", "note": "x"}).digest == recording.digest
 
 
 def test_gaps_and_lost_frames_do_not_disturb_rate_and_fingertips():
@@ -60,7 +58,7 @@ def test_gaps_and_lost_frames_do_not_disturb_rate_and_fingertips():
     t, valid = recording.t.copy(), recording.valid.copy()
     t[200:] += 1.0
     valid[10:20] = False
-    recording = dataclasses.replace(recording, t=t, valid=valid)
+    recording = dc.replace(recording, t=t, valid=valid)
     assert recording.rate_hz == pytest.approx(60.0, rel=1e-6)
     assert recording.fingertips([8, 4]).shape == (390, 2, 3)
     np.testing.assert_array_equal(recording.fingertips([8, 4])[10], recording.p_HK[20][[8, 4]])
@@ -71,7 +69,7 @@ def test_arrays_of_the_wrong_shape_or_type_are_refused(field):
     """The field and both shapes are named."""
     for value in (np.zeros((400, 20, 2)), np.full((400, 21, 3), "a")):
         with pytest.raises(RecordingError, match=rf"{field} must be numbers of shape .*, not .* \(400, 2"):
-            dataclasses.replace(recorded(), **{field: value})
+            dc.replace(recorded(), **{field: value})
 
 
 @pytest.mark.parametrize(
@@ -105,20 +103,11 @@ def interrupt(parts: RecordingParts) -> None:
     parts._thread.join()
 
 
-def test_parts_are_joined_to_one_recording(tmp_path):
-    """Times from zero, nothing missing, and no part left."""
-    parts = RecordingParts(tmp_path / "session.npz", PLAY.metadata)
-    append(parts, range(len(PLAY)))
-    assert parts.finish()
-    assert [path.name for path in tmp_path.iterdir()] == ["session.npz"]
-    joined = Recording.load(tmp_path / "session.npz")
-    np.testing.assert_allclose(joined.t, PLAY.t, atol=1e-12)
-    for name in ("p_HK", "valid", "X_WH"):
-        np.testing.assert_array_equal(getattr(joined, name), getattr(PLAY, name))
+def test_parts_are_joined_to_one_recording_and_those_of_an_interrupted_session_are_kept(tmp_path):
+    """Times from zero, nothing missing, and no part left.
 
-
-def test_an_interrupted_session_is_read_and_then_kept(tmp_path):
-    """Under the file's name while there is none; under another one by the next session."""
+    What was interrupted is read under the file's name while there is none; the next session renames it.
+    """
     path = tmp_path / "session.npz"
     first = RecordingParts(path, PLAY.metadata)
     append(first, range(300))
@@ -129,12 +118,15 @@ def test_an_interrupted_session_is_read_and_then_kept(tmp_path):
     with pytest.raises(RecordingError, match="right"):
         read_recording(path, side="left")
     again = RecordingParts(path, PLAY.metadata)
-    assert again.recovered == tmp_path / "session-interrupted-1.npz"
-    assert Recording.load(again.recovered).digest == read.digest
-    append(again, range(100))
+    append(again, range(len(PLAY)))
     assert again.finish()
-    assert len(read_recording(path)) == 100
-    assert len(read_recording(again.recovered)) == 300
+    assert sorted(os.listdir(tmp_path)) == ["session-interrupted-1.npz", "session.npz"]
+    assert again.recovered == tmp_path / "session-interrupted-1.npz"
+    assert Recording.load(again.recovered).digest == read_recording(again.recovered).digest == read.digest
+    joined = read_recording(path)
+    np.testing.assert_allclose(joined.t, PLAY.t, atol=1e-12)
+    for name in ("p_HK", "valid", "X_WH"):
+        np.testing.assert_array_equal(getattr(joined, name), getattr(PLAY, name))
 
 
 def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
