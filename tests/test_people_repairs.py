@@ -18,24 +18,10 @@ from geort_drake.people.readers import open_recording
 FRAMES = 80
 
 
-def set_to(value):
-    def fault(numbers):
-        numbers[...] = value
-
-    return fault
-
-
-def one_number(value):
-    def fault(numbers):
-        numbers.reshape(-1)[numbers.size // 2] = value
-
-    return fault
-
-
 # Each changes the numbers of one frame in place.
 FRAME_FAULTS = [
-    *map(set_to, (np.nan, 0.0, 0.5, 1e30)),
-    *map(one_number, (np.nan, np.inf, 30.0)),
+    *(lambda numbers, value=value: numbers.fill(value) for value in (np.nan, 0.0, 0.5, 1e30)),
+    *(lambda numbers, value=value: numbers.put(numbers.size // 2, value) for value in (np.nan, np.inf, 30.0)),
     lambda numbers: np.multiply(numbers, 25.0, out=numbers),
 ]
 # The time of a frame, given the times: none, repeated, backward, slightly backward, far behind or ahead.
