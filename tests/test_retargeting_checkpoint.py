@@ -20,26 +20,16 @@ from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.retargeting_map import RetargetingMap
 from geort_drake.systems.retargeting_system import OUTSIDE, TRACKING
 
-KEYPOINTS = (4, 8, 12)
-
-
-def network_of(kinematics, seed=0) -> RetargetingNetwork:
-    generator = torch.Generator().manual_seed(seed)
-    mean = 0.05 * torch.rand(len(kinematics.fingers), 3, generator=generator)
-    scale = 0.005 + 0.03 * torch.rand(len(kinematics.fingers), 3, generator=generator)
-    return RetargetingNetwork(kinematics, mean, scale, 128, generator)
-
-
-def retargeter_of(kinematics, network) -> Retargeter:
-    names = kinematics.finger_names, kinematics.joint_names
-    return Retargeter(network.arrays(), *names, KEYPOINTS, kinematics.lower, kinematics.upper)
-
 
 @pytest.mark.parametrize("kinematics", [toy_kinematics(), uneven_kinematics()], ids=["even", "uneven"])
 def test_numpy_equals_torch(kinematics, rng):
     """Folding the normalisation into the weights changes nothing, for any joint layout."""
-    network = network_of(kinematics)
-    retarget = retargeter_of(kinematics, network)
+    generator = torch.Generator().manual_seed(0)
+    mean = 0.05 * torch.rand(3, 3, generator=generator)
+    scale = 0.005 + 0.03 * torch.rand(3, 3, generator=generator)
+    network = RetargetingNetwork(kinematics, mean, scale, 128, generator)
+    names = kinematics.finger_names, kinematics.joint_names
+    retarget = Retargeter(network.arrays(), *names, (4, 8, 12), kinematics.lower, kinematics.upper)
     p = rng.normal(0.05, 0.05, (300, 3, 3))
     expected = network.double()(torch.tensor(p)).detach().numpy()
     np.testing.assert_allclose(retarget(p), expected, atol=1e-6)
