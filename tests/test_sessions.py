@@ -70,16 +70,12 @@ def test_the_summary_pools_sessions_and_begins_without_a_change():
     assert summary["sessions"]["b"]["changed"]["successes"] == 3
 
 
-@pytest.fixture
-def untrained(light_benchmark, monkeypatch, tmp_path):
-    """A method that needs no training in place of a checkpoint."""
+def test_sessions_are_replayed_under_every_change_and_gone_on_with(light_benchmark, tmp_path, monkeypatch):
+    """One trial without a change, some with each; more trials add to them; another map is refused."""
+    # A method that needs no training in place of a checkpoint.
     monkeypatch.setattr(replay, "load_retargeter", lambda *_: Hold(allegro().kinematics()))
     (tmp_path / "map").mkdir()
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"a known map")
-
-
-def test_sessions_are_replayed_under_every_change_and_gone_on_with(untrained, tmp_path):
-    """One trial without a change, some with each; more trials add to them; another map is refused."""
     resting_glove(0.1, object="cube", seed=3).save(tmp_path / "cube-3.glove.npz")
     folder = tmp_path / "out"
     common = [
