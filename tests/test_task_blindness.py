@@ -5,16 +5,14 @@ import dataclasses as dc
 import pkgutil
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import pytest
-from grasp_setup import centred_map, goals, human_with, person_who_plays, scenario_with
+from grasp_setup import centred_map, goals, person_who_plays, planned_goal
 from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake import load_scenario, make_trial_diagram
 from geort_drake.simulation import operators
-from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
@@ -59,15 +57,6 @@ def test_goals_tell_places_and_no_postures():
     assert set(FreePlay._fields) == {"p_HF", "p_BF", "period"}
 
 
-@cache
-def diagram_of(task: str, hand: str) -> TrialDiagram:
-    if task == "grasp":
-        return make_trial_diagram(scenario_with(text=f"{{hand: {hand}}}"), centred_map(), human_with())
-    goal = goals(task)[0] if hand == "allegro_right" else goals(task)[0].mirrored()
-    scenario = load_scenario(*find_task(task).scenario, hand=hand)
-    return make_trial_diagram(scenario, centred_map(), (person_who_plays(), goal))
-
-
 HAND = {"fingertips", "hand_pose"}
 
 
@@ -87,7 +76,10 @@ def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(
     task, mirrored, unmirrored, judge, hand
 ):
     """Of a left hand in the mirror. The view reads only the plant; cue and keys are shown by the judge."""
-    parts = diagram_of(task, hand)
+    goal = planned_goal("cylinder") if task == "grasp" else goals(task)[0]
+    scenario = load_scenario(*find_task(task).scenario, hand=hand)
+    given = person_who_plays(), goal if hand == "allegro_right" else goal.mirrored()
+    parts = make_trial_diagram(scenario, centred_map(), given)
     sources = {
         (system, system.get_input_port(port).get_name()): source
         for (system, port), source in parts.diagram.connection_map().items()
