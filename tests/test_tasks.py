@@ -7,19 +7,18 @@ import math
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, attempt, centred_map, goals, outcome_of, person_who_plays, plans
+from grasp_setup import allegro, attempt, outcome_of, plans
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from geort_drake import load_scenario, run_trial
+from geort_drake import load_scenario
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.web.scene import PoseStream, Scene
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import IntentionConfig, LearnedMotion
 from geort_drake.simulation.tasks import find_task, task_names
@@ -360,16 +359,6 @@ def test_a_left_hand_has_its_place_on_the_other_side():
     assert pose_to_vector(left)[:4] == pytest.approx(pose_to_vector(right)[:4])
 
 
-def test_a_person_brings_a_block_to_its_place():
-    """Through an affine map."""
-    person, retarget = person_who_plays(), centred_map()
-    scenario = load_scenario(*find_task("pick_place").scenario)
-    play = seen_fingertips(retarget, allegro(), person)
-    goal, _ = keep_reached(goals("pick_place"), play)
-    result, _ = run_trial(scenario, retarget, (person, goal))
-    assert result.success, result.outcome
-
-
 KEYS = "presses: 3, enough: 3, ready_time: 4.0, cue_time: 2.0"
 
 
@@ -403,6 +392,7 @@ def test_the_mirror_has_the_same_places(task):
         ("cap", "hold", "adaptive", "turn: 60", 0.0, 0.05),
         ("tracking", "affine_ik", "servo", "targets: 2, enough: 1, ready_time: 5.0", 0.5, 1.0),
         ("tracking", "hold", "servo", "targets: 2, enough: 1, ready_time: 5.0", 0.0, 0.0),
+        ("pick_place", "affine_ik", "servo", "", 1.0, 1.0),
     ],
 )
 def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, settings, least, most):
