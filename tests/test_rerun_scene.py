@@ -319,36 +319,34 @@ def test_points_follow_the_frame_they_are_measured_in_and_keep_their_colours(tmp
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("key", "spec", "message"),
     [
+        ("q", lambda b: SignalSpec(constant(b, [1, 2]), ["a"]), "size 2, but 1 names"),
         (
-            lambda w: {"specs": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"])}},
-            "'q'.*size 2, but 1 names",
+            "x",
+            lambda b: SignalSpec(pose_source(b, RigidTransform()), ["a"]),
+            "is abstract; expected a vector",
         ),
         (
-            lambda w: {"specs": {"x": SignalSpec(pose_source(w.builder, RigidTransform()), ["a"])}},
-            "'x'.*is abstract; expected a vector",
+            "q",
+            lambda b: SignalSpec(constant(b, [1, 2]), ["a"], derive=lambda x: x),
+            r"derive makes \(1, 2\) of \(1, 2\) values; expected \(1, 1\)",
         ),
+        ("h/wrist_pose", lambda b: HandSpec(constant(b, [0] * 63), constant(b, [0])), "RigidTransform"),
         (
-            lambda w: {"specs": {"q": SignalSpec(constant(w.builder, [1, 2]), ["a"], derive=lambda x: x)}},
-            r"'q'.*derive makes \(1, 2\) of \(1, 2\) values; expected \(1, 1\)",
-        ),
-        (
-            lambda w: {"close_ups": {"c": CloseUpSpec("left", (1, 0, 0))}},
-            "close-up 'c' follows the hand 'left'; the recorded hands are: none",
-        ),
-        (
-            lambda w: {"specs": {"h": HandSpec(constant(w.builder, [0] * 63), constant(w.builder, [0]))}},
-            "'h/wrist_pose'.*RigidTransform",
+            "c",
+            lambda b: CloseUpSpec("left", (1, 0, 0)),
+            "follows the hand 'left'; the recorded hands are: none",
         ),
     ],
 )
-def test_ports_that_do_not_fit_are_refused(tmp_path, options, message):
+def test_ports_that_do_not_fit_are_refused(tmp_path, key, spec, message):
     """Key, port and sizes are in the message, and nothing has been added."""
     world = World().finalize()
-    options = options(world)
+    given = {key.partition("/")[0]: spec(world.builder)}
+    options = {"close_ups" if key == "c" else "specs": given}
     systems = world.builder.GetSystems()
-    with pytest.raises(ScenarioError, match=message):
+    with pytest.raises(ScenarioError, match=f"'{key}'.*{message}"):
         world.record(tmp_path / "no.rrd", **options)
     assert world.builder.GetSystems() == systems
 
