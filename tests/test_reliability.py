@@ -148,14 +148,11 @@ def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):
         assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "run"] and target.is_symlink()
 
 
-def test_the_current_folder_is_not_replaced(tmp_path, monkeypatch):
-    """It cannot be renamed, which must be known before the work begins."""
+def test_a_directory_replaces_neither_a_file_nor_the_current_folder(tmp_path, monkeypatch):
+    """A folder in use cannot be renamed, which must be known before the work begins."""
     monkeypatch.chdir(tmp_path)
     assert not files.is_replaceable(".", "mark")
     assert files.is_replaceable(tmp_path, "mark") and files.is_replaceable("new", "mark")
-
-
-def test_a_directory_does_not_replace_a_file(tmp_path):
     file = tmp_path / "notes.txt"
     write_text(file, "before")
     with pytest.raises(OutputError, match="is a file, not a directory"), atomic_directory(file):
