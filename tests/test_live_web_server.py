@@ -249,9 +249,8 @@ def test_a_mesh_is_served_as_triangles_in_drakes_axes(tmp_path):
     plant, graph = AddMultibodyPlantSceneGraph(builder, 0.001)
     hand = add_hand_model(plant, description, "hand")
     body = plant.GetBodyByName("link_0", hand)
-    plant.RegisterVisualGeometry(
-        body, RigidTransform(), Mesh(str(tmp_path / "box.obj"), 0.1), "box", np.ones(4)
-    )
+    box = Mesh(str(tmp_path / "box.obj"), 0.1)
+    plant.RegisterVisualGeometry(body, RigidTransform(), box, "box", np.ones(4))
     plant.Finalize()
     scene = Scene(plant, graph.model_inspector(), description)
     shape = next(g for g in scene.description["geometries"] if g["shape"] == "mesh")

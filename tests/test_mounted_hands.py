@@ -86,9 +86,8 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
         _, _, at_start, base_at_start = robot(name)
         poses.append((base_at_start.CalcPoseInWorld(at_start), base.CalcPoseInWorld(context)))
         angles.append([parts.plant.GetJointByName(j, hand).get_angle(context) for j in allegro().joint_names])
-        gloves.append(
-            parts.operator.GetOutputPort("keypoints").Eval(parts.operator.GetMyContextFromRoot(root))
-        )
+        glove = parts.operator.GetOutputPort("keypoints")
+        gloves.append(glove.Eval(parts.operator.GetMyContextFromRoot(root)))
     (before, after), (_, after_left) = poses
     assert np.linalg.norm(after.translation() - before.translation()) > 0.05
     np.testing.assert_allclose(after_left.GetAsMatrix4(), M @ after.GetAsMatrix4() @ M, atol=0.01)

@@ -218,7 +218,6 @@ def test_the_object_frame_is_upright_and_takes_the_nearest_of_equivalent_yaws(sy
     goal = dc.replace(StandInWorld(1.0, OperatorConfig()).goal, yaw_symmetry=symmetry)
     R_WO = RotationMatrix.MakeZRotation(yaw) @ RotationMatrix.MakeYRotation(0.2)
     X_WO = goal.object_frame(RigidTransform(R_WO, [1, 2, 3]))
-    np.testing.assert_allclose(
-        X_WO.rotation().matrix(), RotationMatrix.MakeZRotation(expected).matrix(), atol=1e-12
-    )
+    wanted = RotationMatrix.MakeZRotation(expected).matrix()
+    np.testing.assert_allclose(X_WO.rotation().matrix(), wanted, atol=1e-12)
     np.testing.assert_array_equal(X_WO.translation(), [1, 2, 3])

@@ -42,9 +42,8 @@ def test_a_checkpoint_comes_back_as_it_was(tmp_path, allegro, rng):
     path = checkpoint(tmp_path, metrics={"coverage": 0.5})
     p, loaded = rng.normal(0.05, 0.05, (50, 4, 3)), load_retargeter(path)
     names = allegro.finger_names, allegro.joint_names
-    np.testing.assert_array_equal(
-        loaded(p), Retargeter(smooth_arrays(), *names, TIPS, allegro.lower, allegro.upper)(p)
-    )
+    saved = Retargeter(smooth_arrays(), *names, TIPS, allegro.lower, allegro.upper)
+    np.testing.assert_array_equal(loaded(p), saved(p))
     assert (list(loaded.finger_names), list(loaded.joint_names)) == tuple(map(list, names))
     assert (path / "history.csv").read_text().split() == ["step,total", "0,1.0"]
     assert json.loads((path / "metrics.json").read_text()) == {"coverage": 0.5}

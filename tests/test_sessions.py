@@ -32,9 +32,8 @@ def test_a_simulated_session_meets_the_object_as_it_was():
     assert again.timeout == pytest.approx(0.09 + scenario.monitor.hold_time)
     for seed in (0, 1):
         placement = draw_placement(again, -0.05, np.random.default_rng(seed))
-        np.testing.assert_allclose(
-            placement.X_WO.GetAsMatrix4(), drawn.X_WO.GetAsMatrix4(), rtol=0, atol=1e-12
-        )
+        X_WO, wanted = (each.X_WO.GetAsMatrix4() for each in (placement, drawn))
+        np.testing.assert_allclose(X_WO, wanted, rtol=0, atol=1e-12)
         assert placement.mass_factor == drawn.mass_factor
 
 
@@ -151,9 +150,8 @@ def test_people_are_told_apart_by_folder_and_maps_by_name(tmp_path):
          "completion_time": 7.0, "motion": motion_of(session())}
         for thing in ("cylinder", "cube") for seed in (0, 1)
     ]  # fmt: skip
-    summary = summarize_people(
-        people, [*trials, {"method": "geort", "object": "cylinder", "error": "x"}], 30.0
-    )
+    raised = {"method": "geort", "object": "cylinder", "error": "x"}
+    summary = summarize_people(people, [*trials, raised], 30.0)
     everyone = summary["people"]["universal map"]
     assert everyone["persons"] == 2 and everyone["success"]["successes"] == 3
     assert everyone["completion_time"]["mean"] == pytest.approx((3 * 5.0 + 30.0) / 4)

@@ -31,9 +31,8 @@ def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark,
     assert figures["trials"] == 2 and figures["score"]["mean"] == 0.0
     assert main(["benchmark", "--output", str(folder), "--rrd", "hold", "keys", "0", "--quiet"]) == 0
     assert (folder / "rrd" / "hold-keys-0.rrd").is_file()
-    assert (
-        json.loads((folder / "summary.json").read_text())["tasks"]["keys"]["servo"] == tasks["keys"]["servo"]
-    )
+    of_kind = json.loads((folder / "summary.json").read_text())["tasks"]
+    assert of_kind["keys"]["servo"] == tasks["keys"]["servo"]
 
 
 def test_a_task_that_the_hand_cannot_do_is_left_out_with_its_reason(tmp_path, capsys):
