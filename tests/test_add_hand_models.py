@@ -134,6 +134,7 @@ MESHES = {
     "palm.stl": BOX.export(file_type="stl"),
     "text.STL": BOX.export(file_type="stl_ascii").encode(),
     "palm.glb": _glb(),
+    "z_up.glb": BOX.export(file_type="glb"),
     "palm.ply": BOX.export(file_type="ply"),
     "palm.dae": _dae(),
 }
@@ -144,6 +145,7 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
     changes = {
         '<origin xyz="-0.012 0 0.04" rpy="0 0 0"/>': "",
         '<box size="0.02 0.066 0.08"/>': f'<mesh filename="package://parts/{name}"/>',
+        "<inertial>": '<inertial><origin xyz="-0.012 0 0.04"/>',
     }
     if kind == "xml":
         head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="parts"/><worldbody>'
@@ -157,26 +159,24 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
     ("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl"), ("xml", "palm.glb")]
 )
 def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
-    """In its place and unit, also when moved: STL of both kinds, binary glTF with y up, PLY and COLLADA."""
+    """In its place and unit, also when moved: STL of both kinds, binary glTF with y or z up, PLY, COLLADA."""
     model = _with_mesh(tmp_path, kind, name)
     assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
-    add_collisions(convert_model(model, tmp_path / "copy"))
+    add_collisions(convert_model(model, tmp_path / "copy", notes := []))
+    assert [note[:25] for note in notes] == ["the .glb meshes have z up"] * (name == "z_up.glb")
     copy = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
     assert unreadable_meshes(copy) == []
     hand = HandModel(propose(copy).description)
-    inspector = hand.scene_graph.model_inspector()
-    palm = hand.plant.GetBodyFrameIdOrThrow(hand.plant.GetBodyByName("palm").index())
-    (geometry,) = inspector.GetGeometries(palm, Role.kProximity)
-    points = inspector.GetPoseInFrame(geometry) @ surface_points(inspector, geometry).T
-    np.testing.assert_allclose(points.min(axis=1), CORNERS.min(axis=0), atol=1e-6)
-    np.testing.assert_allclose(points.max(axis=1), CORNERS.max(axis=0), atol=1e-6)
+    assert len(hand.plant.GetCollisionGeometriesForBody(hand.plant.GetBodyByName("palm"))) == 1
+    bounds = [CORNERS.min(axis=0), CORNERS.max(axis=0)]
+    np.testing.assert_allclose(reach(hand, "palm", Role.kProximity), bounds, atol=1e-6)
 
 
 def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
     """The hull of the palm reaches beyond the knuckles, where it blocks links that it should not touch."""
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
     model.write_text(model.read_text().replace('palm.stl"', 'palm.stl" scale="1 1 2"'))
-    proposal = propose(convert_model(model, tmp_path / "copy"))
+    proposal = propose(convert_model(model, tmp_path / "copy", []))
     description = proposal.description
     assert description.ignored_collisions == [["middle_l1", "palm"]]
     assert "overlapping shapes are ignored: 'middle_l1' and 'palm'" in "\n".join(proposal.notes)
@@ -205,7 +205,7 @@ def test_an_unusable_mesh_is_named(content, message, tmp_path):
     if content is not None:
         mesh.write_bytes(content)
     with pytest.raises(HandError, match=message) as error:
-        convert_model(model, tmp_path / "copy")
+        convert_model(model, tmp_path / "copy", [])
     assert str(mesh) in str(error.value)
     assert not (tmp_path / "copy").exists()
 

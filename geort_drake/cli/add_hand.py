@@ -94,10 +94,11 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
     if path.exists() and not arguments.overwrite:
         raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
     require_writable(path)
-    model, notes = given, []
+    model = given
+    notes: list[str] = []
     meshes = ", ".join(mesh.name for mesh in unreadable_meshes(given))
     if meshes or arguments.hulls:
-        model = convert_model(given, path.with_name(f"{path.stem}_model"))
+        model = convert_model(given, path.with_name(f"{path.stem}_model"), notes)
     if meshes:
         notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
     if arguments.hulls:
