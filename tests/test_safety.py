@@ -5,23 +5,21 @@ import math
 
 import numpy as np
 import pytest
-from faults.sound import play, smooth_retargeter
+from faults.sound import TIPS, play, smooth_retargeter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 from system_bench import Bench
 
+from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 from geort_drake.systems import glove_checks
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.retargeting_system import EASING, LIMITED, SETTLING, TRACKING
+from geort_drake.systems.retargeting_system import EASING, LIMITED, OUTSIDE, SETTLING, TRACKING
 from geort_drake.systems.wrist_checks import WRIST_JUMPED, WRIST_NOT_FINITE
 
 PLAY = play()
 AT_ONCE = glove_checks.GloveChecks(ease_at_start=False)
-
-
-# -- what may come in
 
 
 def test_a_joint_stops_at_a_far_target_without_overshoot():
@@ -36,9 +34,6 @@ def test_a_joint_stops_at_a_far_target_without_overshoot():
         if q[0] > 1.5 - 1e-9:
             times.append(0.001 * (step + 1))
     assert times[0] == pytest.approx(1.5 / 5.0 + 5.0 / 100.0, abs=0.003)
-
-
-# -- what a good glove sends
 
 
 def answered(retarget) -> tuple[np.ndarray, np.ndarray]:
@@ -59,9 +54,6 @@ def test_a_clean_stream_comes_out_as_the_bare_retargeter_gives_it():
     touched = (q != [steep(keypoints) for keypoints in PLAY.p_HK]).any(axis=1)
     assert touched.any()
     np.testing.assert_array_equal(touched, states == LIMITED)
-
-
-# -- faults, one by one
 
 
 def hands(count: int, start: int = 0) -> np.ndarray:
@@ -117,6 +109,24 @@ def test_a_fault_is_held_named_and_eased_out_of(fault, state):
     assert states[0] in (SETTLING, glove_checks.HELD_JUMPED)
     assert EASING in states
     assert states[-1] == TRACKING
+
+
+def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
+    """Synthetic play of another seed is inside; the same hand 30 % larger is outside, and still followed."""
+    space = TrainedSpace(trained_points(PLAY.p_HK[:, list(TIPS)]), TIPS)
+    retarget = smooth_retargeter()
+    retarget.trained_space = space
+    bench = Bench(retarget, checks=AT_ONCE)
+    for keypoints in hands(60):
+        *_, status = bench.tick(keypoints)
+    assert status.state == TRACKING and status.distance < 0.01
+    bench = Bench(retarget, checks=AT_ONCE)
+    for keypoints in 1.3 * hands(60):
+        q, *_, status = bench.tick(keypoints)
+    assert status.state == OUTSIDE and status.distance > 0.02
+    np.testing.assert_array_equal(q, retarget(1.3 * hands(60)[-1]))
+    *_, status = Bench(smooth_retargeter(), checks=AT_ONCE).tick(hands(1)[0])
+    assert np.isnan(status.distance)
 
 
 def test_old_keypoints_are_not_followed():
@@ -186,8 +196,6 @@ def test_the_output_is_finite_at_the_ends_of_what_is_accepted(period, speed, acc
         assert np.isfinite([*q, *v, bench.system.delay]).all()
         assert (np.abs(q) <= 100.0).all() and (np.abs(v) <= speed * (1 + 1e-9)).all()
 
-
-# -- the arm in live use: within its limits, and held when the person disengages or the tracker jumps
 
 # From full speed to rest at the lowest acceleration takes 2.6 rad/s over 7.5 rad/s².
 STOPPED_S = 0.35
