@@ -81,6 +81,9 @@ def random_retargeter(fingers: Sequence[str] = FINGERS, backend: str = "numpy") 
     return UniversalRetargeter(file.arrays, *names, file.lower, file.upper, backend)
 
 
+RETARGET = random_retargeter()
+
+
 @pytest.mark.parametrize("fingers", [("index", "thumb"), ("thumb", "index", "middle", "ring", "little")])
 def test_a_persons_map_is_the_network_with_their_code(fingers):
     """Folding the person into the weights changes nothing, for the average person and for an odd one."""
@@ -95,12 +98,11 @@ def test_a_persons_map_is_the_network_with_their_code(fingers):
 
 def test_it_works_at_once_and_as_one_persons_map():
     """A call takes the shape from its frames; a person's map also takes fingertips and has a Jacobian."""
-    retarget = random_retargeter()
-    own = retarget.for_person(PLAY)
-    np.testing.assert_allclose(retarget(PLAY), own(PLAY))
-    np.testing.assert_allclose(retarget(PLAY[0]), retarget(PLAY[:1])[0])
-    np.testing.assert_allclose(retarget.for_person(PLAY[0])(PLAY), retarget.for_person(PLAY[:1])(PLAY))
-    tips = PLAY[0, list(retarget.human_keypoints)]
+    own = RETARGET.for_person(PLAY)
+    np.testing.assert_allclose(RETARGET(PLAY), own(PLAY))
+    np.testing.assert_allclose(RETARGET(PLAY[0]), RETARGET(PLAY[:1])[0])
+    np.testing.assert_allclose(RETARGET.for_person(PLAY[0])(PLAY), RETARGET.for_person(PLAY[:1])(PLAY))
+    tips = PLAY[0, list(RETARGET.human_keypoints)]
     np.testing.assert_allclose(own(tips), own(PLAY[0]))
     assert own.jacobian(tips).shape == (12, 4, 3)
     assert own.trained_space.distances(PLAY[7]).max() < 0.01
@@ -110,26 +112,24 @@ def test_it_works_at_once_and_as_one_persons_map():
 
 def test_it_refuses_what_shows_no_person():
     """Fingertips alone, no frames, NaN, and points without a hand."""
-    retarget = random_retargeter()
     with pytest.raises(ValueError, match="for_person"):
-        retarget(PLAY[0, :4])
-    for call, frames in ((retarget, PLAY[:0]), (retarget.for_person, PLAY[0, :4])):
+        RETARGET(PLAY[0, :4])
+    for call, frames in ((RETARGET, PLAY[:0]), (RETARGET.for_person, PLAY[0, :4])):
         with pytest.raises(ValueError, match="whole hands"):
             call(frames)
     for frame, message in ((np.full((21, 3), np.nan), "finite"), (np.zeros((21, 3)), "hardly any length")):
         with pytest.raises(GeortError, match=message):
-            retarget(frame)
+            RETARGET(frame)
 
 
 def test_a_person_unlike_all_others_is_clamped_and_named():
     """The part farthest out is said, and how far."""
-    retarget = random_retargeter()
-    code = retarget.code(PLAY)
-    assert retarget.unusual(code) == ""
+    code = RETARGET.code(PLAY)
+    assert RETARGET.unusual(code) == ""
     odd = code.copy()
     odd[len(FINGERS) * 3 + 1] *= 10.0  # the index finger's length
-    assert retarget.unusual(odd).startswith("length of the index: ")
-    assert np.isfinite(retarget.folded(odd)(PLAY)).all()
+    assert RETARGET.unusual(odd).startswith("length of the index: ")
+    assert np.isfinite(RETARGET.folded(odd)(PLAY)).all()
 
 
 def test_a_file_gives_the_map_back_and_one_that_is_no_map_is_refused(tmp_path):
@@ -139,7 +139,7 @@ def test_a_file_gives_the_map_back_and_one_that_is_no_map_is_refused(tmp_path):
     """
     path = tmp_path / "map.safetensors"
     map_of(random_network()).save(path)
-    np.testing.assert_allclose(load_retargeter(path)(PLAY), random_retargeter()(PLAY), atol=1e-5)
+    np.testing.assert_allclose(load_retargeter(path)(PLAY), RETARGET(PLAY), atol=1e-5)
     assert load_map(path).hands == {"toy": "0"}
     with pytest.raises(CheckpointError, match=r"neither a checkpoint.*shipped"):
         load_retargeter("allegro_middle")
@@ -248,9 +248,6 @@ def test_hands_without_a_map_and_other_hands_are_refused(folder, monkeypatch):
         refit_checkpoint(left, folder / "x", map_file=folder / "map.safetensors")
 
 
-# -- following a person
-
-RETARGET = random_retargeter()
 PERIOD, F = 0.01, len(FINGERS)
 OTHER = 1.12 * PLAY
 
