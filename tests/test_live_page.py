@@ -1,6 +1,5 @@
 """The live web page in Chromium, against a stub of its server and the server itself."""
 
-import dataclasses as dc
 import io
 import json
 import re
@@ -99,34 +98,17 @@ def stub():
     return StubServer()
 
 
-def open_page(browser, stub, address, *scripts, seen=None):
+def open_page(browser, stub, address, *scripts, received=None):
+    """A page at an address after some scripts; `received` is called with every message that it gets."""
     page = new_page(browser, viewport={"width": 800, "height": 480})
     for script in scripts:
         page.add_init_script(**script)
     if stub:
         stub.attach(page)
-    if seen:
-        page.on("websocket", seen.attach)
+    if received:
+        page.on("websocket", lambda socket: socket.on("framereceived", received))
     page.goto(address)
     return page
-
-
-@dc.dataclass
-class Seen:
-    """What a page has received: frames, and the newest text of each type."""
-
-    frames: list[bytes] = dc.field(default_factory=list)
-    texts: dict[str, dict] = dc.field(default_factory=dict)
-
-    def attach(self, socket) -> None:
-        socket.on("framereceived", self._receive)
-
-    def _receive(self, payload: bytes | str) -> None:
-        if isinstance(payload, bytes):
-            self.frames.append(payload)
-        else:
-            text = json.loads(payload)
-            self.texts[text["type"]] = text
 
 
 def until(page, holds, interval_ms: int = 50) -> None:
@@ -218,10 +200,10 @@ def headset(browser, stub):
     """Opens the page in an emulated headset that sees `hands`: side → joints (25, 3)."""
     require_package("iwer")
 
-    def open_headset(address, hands, stub=stub, key="key", seen=None):
+    def open_headset(address, hands, stub=stub, key="key", received=None):
         emulator = {"path": WEB / "node_modules/iwer/build/iwer.min.js"}
         scripts = emulator, {"script": XR}, {"script": NO_PICTURES}
-        page = open_page(browser, stub, f"{address}/#{key}", *scripts, seen=seen)
+        page = open_page(browser, stub, f"{address}/#{key}", *scripts, received=received)
         page.click("#headset")
         until(page, lambda: page.evaluate("Boolean(window.session)"))
         page.evaluate("hands => play(hands)", hands)
@@ -280,31 +262,38 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages."""
     goal = goal_of("allegro_right", "cylinder")
     command = [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json"]
+    frames, texts = [], {}  # the newest text of each type
+
+    def receive(message: bytes | str) -> None:
+        if isinstance(message, bytes):
+            frames.append(message)
+        else:
+            texts[json.loads(message)["type"]] = json.loads(message)
+
     with subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as program:
         try:
             line = next(line for line in program.stderr if "Hold up your hand" in line)
             address, key = re.search(r"(http://\S+)/#(\S+)", line).groups()
-            seen = Seen()
-            page = headset(address, {"right": joints_of(in_world(0))}, None, key, seen)
-            until(page, lambda: "state" in seen.texts and seen.frames)
+            page = headset(address, {"right": joints_of(in_world(0))}, None, key, receive)
+            until(page, lambda: "state" in texts and frames)
             until(page, lambda: page.get_attribute("body", "data-state") == "tracking")
             assert page.inner_text("#map") == "Universal map"
             scene = page.evaluate("fetch('scene').then((response) => response.json())")
-            person = PagePerson(scene, seen.texts["welcome"]["hand"], seen.texts["state"]["object"], goal)
+            person = PagePerson(scene, texts["welcome"]["hand"], texts["state"]["object"], goal)
 
             def judged() -> bool:
                 """One look at the page, and one movement."""
-                if seen.frames:
-                    frames, seen.frames = seen.frames, []
-                    joints = person.hand(frames, seen.texts["state"]["engaged"])
+                if frames:
+                    new, frames[:] = frames[:], []
+                    joints = person.hand(new, texts["state"]["engaged"])
                     page.evaluate("hands => play(hands)", {"right": joints})
-                return seen.texts["state"]["outcome"]["over"]
+                return texts["state"]["outcome"]["over"]
 
             page.keyboard.press(" ")
             until(page, judged, 5)
-            outcome = seen.texts["state"]["outcome"]
+            outcome = texts["state"]["outcome"]
             until(page, lambda: "Done" in page.inner_text("#task"))
             program.send_signal(signal.SIGINT)
             report = json.loads(program.communicate(timeout=PATIENCE_S)[0])
