@@ -3,8 +3,7 @@
 import socket
 import subprocess
 import sys
-import textwrap
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,18 +136,10 @@ def test_rerun_switched_off_writes_nothing_and_says_so(tmp_path, monkeypatch):
 
 def test_a_file_is_written_when_the_process_ends_without_close(tmp_path):
     """Also after an uncaught exception."""
-    code = f"""
-        import sys
-        sys.path.insert(0, {str(sys.path[0])!r})
-        from rerun_world import World
-        world = World().finalize().record({str(tmp_path / "exit.rrd")!r})
-        world.simulator.AdvanceTo(0.1)
-        raise SystemExit("no close")
-    """
-    folder = __file__.rsplit("/", 1)[0]
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)], cwd=folder, capture_output=True, text=True, check=False
-    )
+    program = "from rerun_world import World; import sys; world = World().finalize().record(sys.argv[1]); "
+    program += "world.simulator.AdvanceTo(0.1); sys.exit('no close')"
+    command, folder = [sys.executable, "-c", program, str(tmp_path / "exit.rrd")], Path(__file__).parent
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert "no close" in done.stderr
     times, _ = read(tmp_path / "exit.rrd", "/world/ball/body", "Transform3D:translation")
     assert times[-1] == pytest.approx(0.1)
@@ -276,28 +267,27 @@ def test_a_forced_publish_takes_a_sample(tmp_path):
 # -- the default layout
 
 
+def views_of(part, page=""):
+    """Every view in a part of a layout, with the title of its page."""
+    for inner in part.contents:
+        if isinstance(inner, rrb.View):
+            yield page, inner
+        else:
+            yield from views_of(inner, inner.name or page)
+
+
 @pytest.fixture
 def laid_out(monkeypatch):
-    """The views of the default layout by title, once it has been made."""
-    found = {}
-    make = Layout.blueprint
-
-    def collect(part, page):
-        for inner in part.contents:
-            if isinstance(inner, rrb.View):
-                found[inner.name] = inner
-                pages[inner.name] = page
-            else:
-                collect(inner, inner.name or page)
+    """Page and view of each title of the default layout, once it has been made."""
+    found, make = {}, Layout.blueprint
 
     def blueprint(self, specs, rows):
         made = make(self, specs, rows)
-        collect(made.root_container, "")
+        found.update({view.name: (page, view) for page, view in views_of(made.root_container)})
         return made
 
-    pages = {}
     monkeypatch.setattr(Layout, "blueprint", blueprint)
-    return SimpleNamespace(views=found, pages=pages)
+    return found
 
 
 def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
@@ -311,10 +301,10 @@ def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
         "torques/all": SignalSpec(torque, ["x", "y"], title="all", unit="N m", page="torques", limits=(0, 1)),
     }
     world.record(tmp_path / "p.rrd", specs=signals, until=0.0)
-    plots = [title for title in laid_out.views if title != "scene"]
+    plots = [title for title in laid_out if title != "scene"]
     assert plots == ["contact force [N]", "thumb [rad]", "index [rad]", "all [N m]"]
-    assert [laid_out.pages[title] for title in plots] == ["angles"] * 3 + ["torques"]
-    assert laid_out.views["thumb [rad]"].contents == ["/joints/command/thumb", "/joints/measured/thumb"]
+    assert [laid_out[title][0] for title in plots] == ["angles"] * 3 + ["torques"]
+    assert laid_out["thumb [rad]"][1].contents == ["/joints/command/thumb", "/joints/measured/thumb"]
 
 
 def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
@@ -327,7 +317,7 @@ def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
     with world.recorder:
         world.simulator.AdvanceTo(0.3)
         X_WU = world.plant.EvalBodyPoseInWorld(world.context, world.upper)
-    view = laid_out.views["arm"]
+    _, view = laid_out["arm"]
     assert (view.origin, view.contents) == ("/world/arm/upper", ["/world/**"])
     controls = view.properties["EyeControls3D"]
     eye, up = (field.as_arrow_array().to_pylist()[0] for field in (controls.position, controls.eye_up))
@@ -337,7 +327,7 @@ def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
     assert set(view.visualizer_overrides) == {"/world/path", "/world/ball/body/ellipsoids"}
     (rgba,) = view.visualizer_overrides["/world/ball/body/ellipsoids"].colors.as_arrow_array().to_pylist()
     assert rgba >> 8 == 0x336699 and 0 < rgba & 255 < 255
-    assert set(laid_out.views["scene"].visualizer_overrides) == {"/world/path"}
+    assert set(laid_out["scene"][1].visualizer_overrides) == {"/world/path"}
 
 
 def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
