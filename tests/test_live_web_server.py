@@ -54,17 +54,11 @@ def serving(pages=None, tls=None):
         server.close()
 
 
-async def next_text(page) -> dict:
-    """The next answer."""
-    async with asyncio.timeout(PATIENCE_S):
-        return json.loads(await page.receive_str())
-
-
 async def greet(page) -> dict:
     """Asks for the controls; the first answer comes before and tells what the robot is."""
-    assert (await next_text(page))["role"] == "spectator"
+    assert (await page.receive_json(timeout=PATIENCE_S))["role"] == "spectator"
     await page.send_str(hello())
-    return await next_text(page)
+    return await page.receive_json(timeout=PATIENCE_S)
 
 
 @contextlib.asynccontextmanager
