@@ -21,8 +21,6 @@ from geort_drake.people.keypoints import bone_lengths
 from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING
 
-# -- hands
-
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_headset_and_camera_see_the_same_hand(side):
@@ -68,9 +66,6 @@ def test_the_filter_stills_a_hand_and_follows_a_fast_one():
     assert fast.delay < 0.01
     fast.reset()
     np.testing.assert_array_equal(fast(5.0, np.ones((1, 3))), 1.0)
-
-
-# -- who may speak
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -183,9 +178,6 @@ def test_an_unknown_object_is_refused_with_the_choices():
     assert operated.commands[0] == Reset(object="sphere")
 
 
-# -- guided play
-
-
 def test_guided_play_says_what_to_do_and_what_is_missing():
     guide, told = GuidedPlay(0.0, "right"), set()
     for i in range(round(50 * DURATION_S) + 10):
@@ -200,22 +192,17 @@ def test_guided_play_says_what_to_do_and_what_is_missing():
     assert len(still.missing()) > len(guide.missing())
 
 
-# -- the loop
-
-
-class Toy:
+def toy(p_HK: np.ndarray) -> np.ndarray:
     """Moves all joints with the middle fingertip, now and then beyond their limits."""
+    return np.full(len(toy.joint_names), 20.0 * (p_HK[12, 2] - 0.1))
 
-    def __init__(self, joint_names: list[str]):
-        self.joint_names = joint_names
 
-    def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        return np.full(len(self.joint_names), 20.0 * (p_HK[12, 2] - 0.1))
+toy.joint_names = load_hand("allegro_right").joint_names
 
 
 def toy_loop() -> LoopBench:
     """A loop with an engaged person."""
-    bench = LoopBench(station(), Toy(load_hand("allegro_right").joint_names))
+    bench = LoopBench(station(), toy)
     bench.engage(True)
     return bench
 
