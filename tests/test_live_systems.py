@@ -34,9 +34,6 @@ def message(i: int, **changes) -> bytes:
     return json.dumps(fields).encode()
 
 
-# -- the stream
-
-
 class StreamBench(SystemBench):
     """A stream by itself, into which messages are put."""
 
@@ -219,8 +216,6 @@ def test_engaging_never_makes_the_joints_jump():
     assert (stopped[-1][0] == stopped[-2][0]).all()
 
 
-# -- the watchdog
-
 LIMITS = JointLimits(np.full(3, -1.0), np.full(3, 2.0), 4.0, 200.0)
 SAFE = np.array([0.1, 0.5, -0.2])
 
@@ -322,9 +317,6 @@ def test_settings_that_cannot_work_are_refused():
             Watchdog(LIMITS, SAFE, PERIOD, **{name: value})
 
 
-# -- the key
-
-
 def test_every_newline_of_a_pipe_is_a_press():
     """Half a line does not block, and the end of the pipe is reported."""
     reader, writer = os.pipe()
@@ -342,9 +334,6 @@ def test_every_newline_of_a_pipe_is_a_press():
         os.close(reader)
 
 
-# -- real time
-
-
 def test_a_loop_that_is_late_does_not_hurry():
     """Its time continues from where it is, and it counts how often that was."""
     simulator = Simulator(EngageSwitch())
@@ -352,9 +341,6 @@ def test_a_loop_that_is_late_does_not_hurry():
     steps = iter([True, True, True, False])
     assert run_in_real_time(simulator, 0.001, lambda: next(steps), lambda: next(clock)) == 3
     assert simulator.get_context().get_time() == pytest.approx(0.003)
-
-
-# -- the latency
 
 
 def test_the_meter_measures_how_long_commands_take():

@@ -16,9 +16,6 @@ SDF = models_dir() / "sdf"
 ALLEGRO_MASSES = [0.4154, *3 * (0.0119, 0.065, 0.0355, 0.0096, 0.0168), 0.0176, 0.0119, 0.038, 0.0388, 0.0168]
 
 
-# -- every model
-
-
 @pytest.mark.parametrize("path", SDF_FILES, ids=lambda path: path.stem)
 def test_a_model_is_self_contained_and_physically_possible(path):
     """It parses strictly and refers to no other file; every link has a positive mass and a valid inertia."""
@@ -41,9 +38,6 @@ def test_total_masses_are_those_of_the_hardware(allegro, allegro_left, leap, pan
     assert panda.plant.CalcTotalMass(panda.context) == pytest.approx(17.99)
 
 
-# -- objects
-
-
 @pytest.mark.parametrize("path", OBJECTS, ids=lambda path: path.stem)
 def test_objects_stand_on_the_plinth(path):
     """An object released on the plinth moves by less than 1 mm and turns by less than 0.5° in 1 s."""
@@ -60,8 +54,6 @@ def test_objects_stand_on_the_plinth(path):
     speed = scene.plant.EvalBodySpatialVelocityInWorld(scene.context, body)
     assert np.linalg.norm(speed.translational()) < 1e-3
 
-
-# -- hands
 
 # Fingertips in mm at angles of joint_0 to joint_15, from the makers' descriptions evaluated independently,
 # and the frame that they are in, in the hand base. Allegro: sphere centres.
@@ -154,8 +146,6 @@ def test_links_of_the_left_allegro_are_those_of_the_right_one_mirrored(allegro, 
         )
         np.testing.assert_allclose(inertia, mirror @ expected @ mirror, rtol=1e-9, atol=1e-15)
 
-
-# -- the arm
 
 # Franka's modified Denavit-Hartenberg parameters a, d in m and alpha in rad, frame 1 to flange.
 PANDA_DH = [

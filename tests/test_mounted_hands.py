@@ -108,9 +108,6 @@ def test_leap_grasps():
     assert result.slip < 0.03
 
 
-# -- without an arm
-
-
 @pytest.mark.parametrize("name", ["Floating", "Fixed"])
 def test_without_an_arm_the_hand_follows_the_wrist_or_its_fingers_alone_move(name):
     """A floating base 5 cm up and to the side, and 0.3 rad about the vertical, to 2 mm and 0.02 rad.

@@ -155,9 +155,6 @@ def test_a_broken_part_is_named(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["session.npz.parts"]
 
 
-# -- commands
-
-
 @pytest.fixture(scope="module")
 def npy(tmp_path_factory):
     path = tmp_path_factory.mktemp("glove") / "hand.npy"

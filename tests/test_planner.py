@@ -34,9 +34,6 @@ from geort_drake.simulation.world import HAND, add_object, add_robot
 TIP_RADIUS = 0.012
 
 
-# -- contacts
-
-
 class ObjectAlone:
     """One object with its frame O at the world's origin."""
 
@@ -100,9 +97,6 @@ def test_every_object_has_a_grip_and_one_unlisted_or_out_of_reach_is_refused_by_
     scenario = scenario_with("sphere", "object: { position: [1.6, 0.0] }")
     with pytest.raises(ScenarioError, match=r"cannot grasp object 'sphere' at \[1\.6, 0\.0\]"):
         GraspPlanner(scenario, allegro().description).plans(2)[0]
-
-
-# -- plans
 
 
 @pytest.mark.parametrize("name", ["cylinder", "block_tiny", "can_heavy"])

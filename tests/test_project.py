@@ -44,8 +44,6 @@ def test_the_newest_version_is_within_the_range(name):
     assert pins("constraints.txt")[name] in ranges()[name].specifier
 
 
-# -- studies and benchmarks
-
 STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {
     *("affine_map", "distorted_map", "guided_fuzzing", "predictor_analysis")
 }

@@ -98,9 +98,6 @@ def test_energy_without_work_is_noticed():
     assert seen.violations > 0 == seen.effort
 
 
-# -- kills and disks
-
-
 @pytest.fixture(scope="module")
 def known(tmp_path_factory):
     """What each program does without a fault, found out at its first use."""

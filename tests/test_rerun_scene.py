@@ -218,9 +218,6 @@ def test_a_damaged_file_is_drawn_as_its_hull_or_left_out(tmp_path):
     assert "mesh: cannot draw a Mesh" in text  # Drake cannot compute a hull of it either
 
 
-# -- signals, states, hands, points, cameras, contact
-
-
 def test_signals_are_grouped_by_the_part_before_the_slash_and_may_be_derived(tmp_path):
     """Each group is one entity with its own named series.
 

@@ -121,9 +121,6 @@ def test_wrong_input_is_refused(retarget):
                 retarget(points)
 
 
-# -- numba
-
-
 def compiled_call(map_: Retargeter, points) -> np.ndarray:
     """What the call gives for one hand, which has to come from the compiled code."""
     q = map_(points)

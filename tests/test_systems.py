@@ -33,9 +33,6 @@ def small_recording(frames: int = 12, rate: float = 100.0) -> Recording:
     )
 
 
-# -- GloveReplay, GloveRecorder
-
-
 def test_replay_holds_each_sample_until_the_next():
     """Between two samples the older one is given; times are compared up to rounding."""
     recording = small_recording()
@@ -64,9 +61,6 @@ def test_recording_a_replay_gives_the_recording_back():
     np.testing.assert_array_equal(again.p_HK, recording.p_HK)
     np.testing.assert_array_equal(again.valid, recording.valid)
     np.testing.assert_allclose(again.X_WH[:, 4:], recording.X_WH[:, 4:], atol=1e-12)
-
-
-# -- RetargetingSystem
 
 
 def retargeting_bench(retarget, latency=0.0, **timing) -> SystemBench:
@@ -145,9 +139,6 @@ def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them(
         JointLimits(np.zeros(3), np.ones(2))
 
 
-# -- Clutch
-
-
 def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
     """Translation and rotation are relative to the engagement; after a gap, to where the arm was held."""
     X_WB0 = RigidTransform(RotationMatrix.MakeXRotation(0.5), [0.4, 0.1, 0.3])
@@ -171,8 +162,6 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
     for valid in (0.0, 1.0):
         np.testing.assert_allclose(at(far, valid, held).GetAsMatrix4(), held.GetAsMatrix4(), atol=1e-12)
 
-
-# -- GraspMonitor
 
 TILTED = RotationMatrix.MakeXRotation(1.0)
 

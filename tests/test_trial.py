@@ -44,9 +44,6 @@ def lifted(name: str = "cylinder") -> tuple[GraspResult, Recording]:
     return run_trial(scenario_with(name, TEXT), centred_map(), human)
 
 
-# -- a grasp
-
-
 def test_the_cylinder_is_lifted_through_a_known_map():
     """The result tells a plausible story: touched, grasped, lifted above 10 cm, held."""
     result, glove = lifted()
@@ -97,9 +94,6 @@ def test_objects_are_lifted_by_the_other_grips(name):
     assert result.success and result.attempts == 1 and result.slip < 0.03
 
 
-# -- failures
-
-
 def test_an_object_that_falls_off_its_support_ends_the_trial():
     """Beside the plinth the object falls to the table: thrown, long before the timeout."""
     scenario = scenario_with("cylinder", "{object: {position: [0.5, 0.35]}}")
@@ -130,9 +124,6 @@ def test_a_trial_is_freed():
     del retarget
     gc.collect()
     assert freed() is None
-
-
-# -- what is written and reported
 
 
 def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_work(tmp_path):
@@ -183,9 +174,6 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
         assert said(package)[0].isdigit()
 
 
-# -- free play
-
-
 def moved(goal: GraspGoal, shift: float) -> GraspGoal:
     """The grasp with its open fingertips shifted."""
     return dc.replace(goal, p_BF_open=goal.p_BF_open + [0.0, 0.0, shift])
@@ -233,9 +221,6 @@ def test_nobody_approaches_farther_off_than_the_clearance():
     ]
     assert phases[0].operator_phase == Phase.REACH.name.lower()
     assert phases[1].operator_phase != Phase.REACH.name.lower()
-
-
-# -- a glove and a tracker with faults
 
 
 def test_a_misaligned_tracker_turns_the_directions_of_motion(rng):
