@@ -363,6 +363,19 @@ PLACES = {
 }
 
 
+@pytest.mark.parametrize("task", ["cap", "keys", "tracking", "trigger"])
+def test_no_trial_starts_in_contact(task, rng):
+    """Not even the least comfortable place touches the hand in its default position."""
+    scenario, description = load_scenario(*find_task(task).scenario), allegro().description
+    goal, builder = plans(task)[-1].goal, DiagramBuilder()
+    X_WB = RobotModel(scenario, description).X_WB
+    scene = find_task(task).add_stage(builder, scenario, description, goal, X_WB, rng).scene
+    root = builder.Build().CreateDefaultContext()
+    scene.initialize(root)
+    contacts = scene.plant.get_contact_results_output_port().Eval(scene.plant.GetMyContextFromRoot(root))
+    assert contacts.num_point_pair_contacts() == 0
+
+
 @pytest.mark.parametrize("task", PLACES)
 def test_the_mirror_has_the_same_places(task):
     """A cap turns the other way there, and targets to either side change places."""

@@ -40,7 +40,10 @@ class KeysPlanner(FingerPlanner[KeysPlan]):
         self._key_of[self.fingers] = np.arange(len(self.fingers))
 
     def _find(self) -> list[KeysPlan]:
-        return [plan for x in _X for z in _Z if (plan := self._plan(x, z)) is not None]
+        # The hand starts in its default position, from which the fingers would not get out of the keys.
+        start = self.hand.fingertips(self.hand.default_position)[self.fingers, 0] + self.radius
+        clear = _X[_X > start.max() + HOVER]
+        return [plan for x in clear for z in _Z if (plan := self._plan(x, z)) is not None]
 
     def _plan(self, x: float, z: float) -> KeysPlan | None:
         hand = self.hand
