@@ -16,8 +16,8 @@ from geort_drake.simulation import operators
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.keys.goal import KeysGoal
-from geort_drake.simulation.tasks.trigger.goal import TriggerGoal
+from geort_drake.simulation.tasks.keys.planner import KeysGoal
+from geort_drake.simulation.tasks.trigger.planner import TriggerGoal
 
 # What the person's modules may run through besides each other, directly or not.
 HARMLESS = {

@@ -22,20 +22,18 @@ from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import IntentionConfig, LearnedMotion
 from geort_drake.simulation.tasks import find_task, task_names
-from geort_drake.simulation.tasks.cap.goal import RADIUS as CAP_RADIUS
-from geort_drake.simulation.tasks.cap.monitor import CapOutcome
 from geort_drake.simulation.tasks.cap.planner import GAP, SQUEEZE
-from geort_drake.simulation.tasks.keys.goal import PITCH
-from geort_drake.simulation.tasks.keys.monitor import KeysMonitor, KeysOutcome, KeysSettings
-from geort_drake.simulation.tasks.keys.planner import HOVER, TRAVEL
-from geort_drake.simulation.tasks.pick_place.monitor import TransferMonitor, TransferOutcome
-from geort_drake.simulation.tasks.tracking.goal import RADIUS as PUCK
-from geort_drake.simulation.tasks.tracking.goal import targets
-from geort_drake.simulation.tasks.tracking.monitor import TrackingMonitor, TrackingOutcome, TrackingSettings
-from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner
-from geort_drake.simulation.tasks.trigger.goal import RADIUS as HANDLE_RADIUS
-from geort_drake.simulation.tasks.trigger.monitor import TriggerMonitor, TriggerOutcome, TriggerSettings
+from geort_drake.simulation.tasks.cap.planner import RADIUS as CAP_RADIUS
+from geort_drake.simulation.tasks.cap.task import CapOutcome
+from geort_drake.simulation.tasks.keys.planner import HOVER, PITCH, TRAVEL
+from geort_drake.simulation.tasks.keys.task import KeysMonitor, KeysOutcome, KeysSettings
+from geort_drake.simulation.tasks.pick_place.task import TransferMonitor, TransferOutcome
+from geort_drake.simulation.tasks.tracking.planner import RADIUS as PUCK
+from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner, targets
+from geort_drake.simulation.tasks.tracking.task import TrackingMonitor, TrackingOutcome, TrackingSettings
 from geort_drake.simulation.tasks.trigger.planner import HOVER as HANDLE_HOVER
+from geort_drake.simulation.tasks.trigger.planner import RADIUS as HANDLE_RADIUS
+from geort_drake.simulation.tasks.trigger.task import TriggerMonitor, TriggerOutcome, TriggerSettings
 from geort_drake.systems.port_values import pose_to_vector
 
 # -- keys

@@ -15,22 +15,73 @@ from pydrake.multibody.tree import (
     ScrewJoint,
     SpatialInertia,
 )
+from pydrake.systems.framework import Context
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_task import FingerTask, Handled
-from geort_drake.simulation.monitor import TaskMonitor
+from geort_drake.simulation.monitor import Outcome, TaskMonitor, TaskSettings
 from geort_drake.simulation.operators.cap_turner import CapTurner
 from geort_drake.simulation.task import Signals, States, TrialResult
-from geort_drake.simulation.tasks.cap.goal import HEIGHT, RADIUS, CapGoal
-from geort_drake.simulation.tasks.cap.monitor import STEPS, CapMonitor, CapOutcome, CapSettings
-from geort_drake.simulation.tasks.cap.planner import CapPlanner
+from geort_drake.simulation.tasks.cap.planner import HEIGHT, RADIUS, CapGoal, CapPlanner
 
+STEPS = 8  # number of steps into which recordings divide the turn
 _MASS, _PITCH = 0.040, 0.004  # kg; m per turn
 _THREAD_FRICTION = 0.03  # N m
 _FRICTION, _VARIATION = 0.8, 0.2  # of the cap; fraction by which friction and brake vary with the seed
 _NECK, _NECK_HEIGHT = 0.017, 0.10  # m, radius and height of the bottle's neck
 _COLOR, _RIB_COLOR = np.array([0.95, 0.45, 0.10, 1.0]), np.array([0.75, 0.33, 0.05, 1.0])
 _NECK_COLOR = np.array([0.75, 0.80, 0.85, 1.0])
+
+
+@dc.dataclass(frozen=True)
+class CapSettings(TaskSettings):
+    """The turn that counts as unscrewed."""
+
+    turn: float = 360.0  # degrees
+
+
+@dc.dataclass(frozen=True)
+class CapOutcome(Outcome):
+    """How far the cap has been turned."""
+
+    settings: CapSettings
+    turned: float = 0.0  # degrees
+
+    @property
+    def score(self) -> float:
+        """Fraction of the turn that is done."""
+        return min(max(self.turned / self.settings.turn, 0.0), 1.0)
+
+    @property
+    def success(self) -> bool:
+        """Whether the cap is off."""
+        return self.turned >= self.settings.turn
+
+    @property
+    def over(self) -> bool:
+        """Whether the cap is off."""
+        return self.success
+
+
+class CapMonitor(TaskMonitor[CapOutcome]):
+    """Watches the cap, and terminates the simulation when it is off.
+
+    Input port, besides those of `TaskMonitor`:
+        joints (2): turn of the cap, rad, and its speed.
+    Output ports:
+        turned (1): turn of the cap, rad.
+        step (1): number of completed steps, of STEPS equal ones.
+        outcome (abstract CapOutcome).
+    """
+
+    def __init__(self, num_fingers: int, settings: CapSettings):
+        super().__init__(num_fingers, CapOutcome(settings))
+        self._cap = self.DeclareVectorInputPort("joints", 2)
+        self._declare_positions("turned", self._cap)
+        self._declare_output("step", 1, lambda outcome: int(STEPS * outcome.score))
+
+    def _judged(self, context: Context, before: CapOutcome) -> CapOutcome:
+        return before.having(turned=math.degrees(self._cap.Eval(context)[0]))
 
 
 @dc.dataclass(frozen=True)

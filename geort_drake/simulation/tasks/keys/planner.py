@@ -6,8 +6,11 @@ import numpy as np
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
-from geort_drake.simulation.tasks.keys.goal import FINGERS, PITCH, KeysGoal
+from geort_drake.simulation.operators.goal import Goal
 
+# Size of a key cap along and across the fingers, and distance between the centres of neighbours, m.
+CAP_LENGTH, CAP_WIDTH, PITCH = 0.040, 0.018, 0.045
+FINGERS = ("index", "middle", "ring")  # finger of each key, from the thumb's side
 HOVER = 0.002  # m, gap between a waiting fingertip and its key
 TRAVEL = 0.005  # m, full travel of a key
 _CLEARANCE = 0.008  # m, distance by which free play may miss a fingertip's place above its key
@@ -15,6 +18,25 @@ _CLEARANCE = 0.008  # m, distance by which free play may miss a fingertip's plac
 _X, _Z = np.arange(0.05, 0.141, 0.01), np.arange(-0.02, 0.121, 0.01)
 # The last link must point down by this much, so that its tip touches first: sine of the angle.
 _MIN_SLOPE = 0.5
+
+
+@dc.dataclass(frozen=True)
+class KeysGoal(Goal):
+    """Three keys under the fingertips of a parked hand.
+
+    Frames: B the hand base; F a fingertip point. Keys are pressed along +x of B, out of the palm.
+    """
+
+    # (3, 3) centre of each key's top at rest in B, m.
+    p_BK: np.ndarray
+    # (F,) key of each finger, -1 for none.
+    key_of: np.ndarray
+    # (F, 3) fingertips in B above the keys and on pressed keys, m.
+    p_BF_open: np.ndarray
+    p_BF_pressed: np.ndarray
+
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.p_BF_open, self.p_BF_pressed
 
 
 @dc.dataclass(frozen=True)

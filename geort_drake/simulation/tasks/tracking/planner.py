@@ -1,12 +1,19 @@
 """Finds where a hand can hold the puck and move it to all targets."""
 
+import dataclasses as dc
+import math
+
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
-from geort_drake.simulation.tasks.tracking.goal import FINGERS, HEIGHT, RADIUS, TrackingGoal
+from geort_drake.simulation.operators.goal import Goal
+from geort_drake.systems.port_values import rotation_of_vector
 
+RADIUS, HEIGHT = 0.020, 0.030  # m, of the puck
+FINGERS = ("thumb", "index", "middle")
+SHIFT, TURN = 0.010, math.radians(20)  # of targets: along each axis, m; about x and y, rad
 HOVER = 0.020  # m, gap between a waiting fingertip and the puck
 _SPREAD = np.deg2rad(40.0)  # angle of each finger around the puck from opposite the thumb
 _CLEARANCE = 0.010  # m, distance by which free play may miss a fingertip's place
@@ -14,6 +21,33 @@ _LINK_CLEARANCE = 0.001  # m, least gap between puck and links other than finger
 # Positions of the puck along x and z of B to try, m, and tilts of its axis from the palm's normal, rad.
 _X, _Z = np.arange(0.06, 0.121, 0.01), np.arange(-0.02, 0.061, 0.01)
 _TILT = np.deg2rad(np.arange(-45, 31, 15))
+
+
+def targets() -> list[RigidTransform]:
+    """Returns poses X_GT of the ten targets relative to the grip G, whose z is the puck's axis."""
+    steps = [sign * axis for axis in np.eye(3) for sign in (-1, 1)]
+    shifts = [RigidTransform(SHIFT * step) for step in steps]
+    return shifts + [RigidTransform(rotation_of_vector(TURN * step), [0, 0, 0]) for step in steps[:4]]
+
+
+@dc.dataclass(frozen=True)
+class TrackingGoal(Goal):
+    """A puck between fingertips.
+
+    Frames: B the hand base; G the puck in the grip, its axis along z; F a fingertip point.
+    """
+
+    X_BG: RigidTransform
+    # (F, 3) fingertips in B, m, off the puck and touching it, and unit vectors away from it.
+    p_BF_open: np.ndarray
+    p_BF_touch: np.ndarray
+    n_B: np.ndarray
+
+    def places(self) -> list[np.ndarray]:
+        """Returns fingertips off the puck, and touching it at each target."""
+        X_GB = self.X_BG.inverse()
+        moves = [self.X_BG @ X_GT @ X_GB for X_GT in targets()]
+        return [self.p_BF_open, *(X.multiply(self.p_BF_touch.T).T for X in moves)]
 
 
 TrackingPlan = FingerPlan[TrackingGoal]

@@ -7,8 +7,11 @@ import numpy as np
 from geort_drake.hands.chains import palm_links
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_planner import FingerPlan, FingerPlanner
-from geort_drake.simulation.tasks.trigger.goal import BACK, FINGERS, LENGTH, RADIUS, TriggerGoal
+from geort_drake.simulation.operators.goal import Goal
 
+RADIUS, LENGTH = 0.018, 0.110  # m, of the handle
+BACK = 0.034  # m, distance of the handle's axis from its back, two balls of the same radius on the palm
+FINGERS = ("index", "middle", "ring")  # the first presses the pad, the others hold the handle
 PAD_TRAVEL, PAD_WANTED = 0.008, 0.004  # m, full and wanted travel of the pad
 PAD_HEIGHT = RADIUS + PAD_TRAVEL + 0.002  # m, from the handle's axis to the pad's top at rest
 HOVER = 0.010  # m, gap between a waiting fingertip and handle or pad
@@ -21,6 +24,28 @@ _Z, _TILT = np.arange(-0.06, 0.061, 0.005), np.deg2rad(np.arange(-30, 31, 15))
 # The handle rests on the palm at distances ±SUPPORT from its middle, with gaps of at most _REST, m.
 SUPPORT, _REST = 0.04, 0.002
 _LINK_CLEARANCE = 0.001  # m, least gap between handle and links other than fingertips and the palm's
+
+
+@dc.dataclass(frozen=True)
+class TriggerGoal(Goal):
+    """A handle between palm and fingers, and a pad on it under one fingertip.
+
+    Frames: B the hand base; F a fingertip point. The handle's axis is along y of B.
+    """
+
+    trigger: int  # index of the finger that presses the pad
+    # (3,) centre of the handle in B, m; and unit vector from the palm's side to the fingers' side.
+    p_BH: np.ndarray
+    n_B: np.ndarray
+    # (F, 3) fingertips in B, m: off handle and pad; and touching the handle, or on the pad at its wanted
+    # travel.
+    p_BF_open: np.ndarray
+    p_BF_touch: np.ndarray
+    # Wanted travel of the pad, m.
+    travel: float
+
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.p_BF_open, self.p_BF_touch
 
 
 @dc.dataclass(frozen=True)
