@@ -105,7 +105,7 @@ class Theatre:
         self.loop = session._begin(1, 0.0)
         self.simulator = Simulator(self.loop.diagram)
         self.context, self.engaged = self.simulator.get_mutable_context(), False
-        self.loop.simulation.initialize(self.context)
+        self.loop.simulation.stage.scene.initialize(self.context)
         self.loop.engage(self.context, False)
         with serve(WEB) as address:
             self.hand = browser.new_page()

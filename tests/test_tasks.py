@@ -269,7 +269,7 @@ def test_the_page_draws_the_puck_a_second_time_at_its_target(monkeypatch):
         port = robot.diagram.GetInputPort(f"{group.name}_desired_state")
         builder.Connect(builder.AddSystem(ConstantVectorSource(held)).get_output_port(), port)
     simulator = Simulator(builder.Build())
-    robot.initialize(simulator.get_mutable_context())
+    robot.stage.scene.initialize(simulator.get_mutable_context())
     simulator.AdvanceTo(0.1)
     before, after = (np.frombuffer(frames[number], "<f4")[1:-63].reshape(-1, 7)[-1] for number in (0, -1))
     X_WG = plant.GetDefaultFloatingBaseBodyPose(target.body)

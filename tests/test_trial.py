@@ -23,10 +23,9 @@ from system_bench import SystemBench
 
 from geort_drake import Recording, load_retargeter, run_trial, synthesize_play
 from geort_drake.retargeting.methods import make_untrained
-from geort_drake.simulation.free_play import keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import keep_reached, persons_hand, seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.state import Phase
-from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 from geort_drake.simulation.tasks.grasp.task import GraspResult

@@ -38,9 +38,8 @@ from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting.method import Retarget
-from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import after_play, keep_reached, persons_hand, seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.person import persons_hand
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task

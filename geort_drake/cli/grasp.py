@@ -82,8 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.files import locked, write_text
     from geort_drake.retargeting.checkpoint import load_checkpoint
     from geort_drake.retargeting.retargeter import UniversalRetargeter
-    from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
-    from geort_drake.simulation.person import persons_hand
+    from geort_drake.simulation.free_play import after_play, keep_reached, persons_hand, seen_fingertips
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks import find_task
 

@@ -84,14 +84,7 @@ class SimulatedRobot:
         if self.stage.target is not None:
             builder.ExportOutput(self.stage.target.pose, "target_pose")
         self.diagram = builder.Build()
-        self._fixed_base = scenario.fixed_base
         self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
-
-    def initialize(self, root: Context) -> None:
-        """Sets values that only a context can hold; call it before the simulation starts."""
-        self.stage.scene.initialize(root)
-        if self._fixed_base:
-            self.stage.scene.lock_arm(root)
 
 
 def open_meshcat() -> Meshcat:

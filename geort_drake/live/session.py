@@ -99,7 +99,7 @@ def run_session(
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
     if loop.simulation is not None:
-        loop.simulation.initialize(root)
+        loop.simulation.stage.scene.initialize(root)
     loop.engage(root, engaged)
     simulator.Initialize()
     states: dict[str, float] = {}

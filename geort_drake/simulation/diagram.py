@@ -46,7 +46,6 @@ class TrialDiagram:
     glove_recorder: GloveRecorder
     operator: LeafSystem | None
     recorder: "RerunRecorder | None"
-    fixed_base: bool
 
     @property
     def monitor(self) -> Any:
@@ -54,14 +53,12 @@ class TrialDiagram:
         return self.stage.monitor
 
     def initialize(self, root: Context) -> None:
-        """Prepares the task's stage in a context, locks the arm of a fixed base, and removes visual geometry.
+        """Prepares the task's stage in a context, and removes visual geometry.
 
         The recorder no longer needs that geometry: it read it when the diagram was built.
         """
         remove_visuals(self.plant, self.stage.scene.scene_graph, root)
         self.stage.scene.initialize(root)
-        if self.fixed_base:
-            self.stage.scene.lock_arm(root)
 
 
 def make_trial_diagram(
@@ -189,7 +186,6 @@ def make_trial_diagram(
         glove_recorder=glove_recorder,
         operator=operator,
         recorder=recorder,
-        fixed_base=scenario.fixed_base,
     )
 
 

@@ -9,6 +9,7 @@ from pydrake.planning import RobotDiagram, RobotDiagramBuilder
 from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.method import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, add_robot
@@ -16,8 +17,9 @@ from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.make_correction import make_correction
+from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
 from geort_drake.systems.retargeting_system import RetargetingSystem
+from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 from geort_drake.systems.wrist_to_arm import WristToArm
 
 
@@ -108,9 +110,10 @@ def add_fingers(
         latency, checks: see `RetargetingSystem`.
 
     Raises:
-        HandError: the retargeter and the robot move different joints.
+        HandError: the retargeter and the robot move different joints, or the guard cannot be used.
+        PolicyError: the policy that corrects commands cannot be run.
     """
-    settings, joints = scenario.retargeting, model.hand.joints
+    settings, chosen, joints = scenario.retargeting, scenario.correction, model.hand.joints
     at_start = dict(zip(joints, start.tolist(), strict=True))
     retargeting = builder.AddNamedSystem(
         "retargeting",
@@ -126,10 +129,13 @@ def add_fingers(
             settings.cutoff,
         ),
     )
-    correction = builder.AddNamedSystem(
-        "action_correction",
-        make_correction(scenario.correction, description, joints, at_start, model.limits, settings.period),
-    )
+    moved = (joints, at_start, model.limits, settings.period)
+    correction = ActionCorrection(len(joints))
+    if chosen.kind == "guard":
+        correction = SelfCollisionGuard(HandModel(description), *moved, chosen.clearance)
+    elif chosen.kind == "policy":
+        correction = PolicyCorrection(load_policy(chosen.policy, len(joints)), *moved)
+    builder.AddNamedSystem("action_correction", correction)
     builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
     builder.Connect(valid, retargeting.GetInputPort("valid"))
     if glove.HasOutputPort("stamp"):

@@ -1,4 +1,4 @@
-"""Free play before a task: the person sees where the robot's fingertips go, and selects a plan."""
+"""The simulated person's hand, and their free play: they see where fingertips go and select a plan."""
 
 import dataclasses as dc
 import math
@@ -11,11 +11,19 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.play import synthesize_play
+from geort_drake.people.population import sample_person
+from geort_drake.people.recording import Recording
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.operators.goal import Goal, Intended
 from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.scenario import Scenario
 
 DURATION, RATE = 30.0, 30.0  # s, frames per second
+
+
+def persons_hand(scenario: Scenario, recording: Recording) -> HumanHand:
+    """Returns the hand of the scenario's `person`: 0 is fitted to the recording, others are sampled."""
+    return sample_person(0, scenario.person).hand if scenario.person else HumanHand.fit(recording)
 
 
 def _frames(person: HumanHand) -> np.ndarray:

@@ -46,20 +46,19 @@ class Scene:
 
     Attributes:
         arm, hand: models whose joints the plant's PD controllers drive.
+        fixed_base: whether the arm keeps its position.
     """
 
     plant: MultibodyPlant
     scene_graph: SceneGraph
     arm: ModelInstanceIndex
     hand: ModelInstanceIndex
+    fixed_base: bool
 
     def initialize(self, root: Context) -> None:
-        """Sets values that only a context can hold."""
-
-    def lock_arm(self, root: Context) -> None:
-        """Locks the arm's joints at their positions in a context."""
+        """Sets what only a context can hold, such as the locks of a fixed base's joints."""
         context = self.plant.GetMyMutableContextFromRoot(root)
-        for index in self.plant.GetJointIndices(self.arm):
+        for index in self.plant.GetJointIndices(self.arm) if self.fixed_base else ():
             self.plant.get_joint(index).Lock(context)
 
 
@@ -76,6 +75,7 @@ class ObjectScene(Scene):
     placement: Placement
 
     def initialize(self, root: Context) -> None:
+        super().initialize(root)
         context = self.plant.GetMyMutableContextFromRoot(root)
         M = self.object_body.CalcSpatialInertiaInBodyFrame(context)
         mass = self.placement.mass_factor * M.get_mass()
@@ -108,7 +108,7 @@ def add_scene(
     if scenario.fingertip_modulus:
         _soften_fingertips(plant, scene_graph, description, body, scenario.fingertip_modulus)
     robot = finish_scene(plant, scene_graph, scenario, description, body.model_instance())
-    return ObjectScene(plant, scene_graph, robot.arm, robot.hand, body, shape, placement)
+    return ObjectScene(**vars(robot), object_body=body, object_shape=shape, placement=placement)
 
 
 def finish_scene(
@@ -133,7 +133,7 @@ def finish_scene(
     plant.Finalize()
     _require_controllers(plant, hand, f"hand '{description.name}'")
     _require_controllers(plant, arm, "the arm")
-    return Scene(plant, scene_graph, arm, hand)
+    return Scene(plant, scene_graph, arm, hand, scenario.fixed_base)
 
 
 def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:

@@ -39,8 +39,7 @@ def run_script(
         port = script.get_input_port(index)
         builder.Connect(stage.shown[port.get_name()].port, port)
     builder.Connect(script.GetOutputPort("desired_state"), plant.get_desired_state_input_port(hand))
-    moves_arm = script.HasOutputPort("arm_desired_state")
-    if moves_arm:
+    if script.HasOutputPort("arm_desired_state"):
         arm_target = script.GetOutputPort("arm_desired_state")
     else:
         q = [joint.default_positions()[0] for joint in actuated_joints(plant, arm)]
@@ -50,8 +49,6 @@ def run_script(
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
     stage.scene.initialize(root)
-    if not moves_arm:
-        stage.scene.lock_arm(root)
     simulator.AdvanceTo(scenario.timeout)
     outcome = stage.monitor.outcome(stage.monitor.GetMyContextFromRoot(root))
     return outcome.score if outcome.success else 0.0

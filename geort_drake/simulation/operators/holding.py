@@ -5,8 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from geort_drake.simulation.operators.finger_person import FingerPerson, SeenFingers
-from geort_drake.simulation.operators.finger_state import FingerState
+from geort_drake.simulation.operators.finger_person import FingerPerson, FingerState, SeenFingers
 
 # The first phases of every such person: move the fingers to their open positions; close them until the person
 # feels the object; squeeze; wait for a cue.

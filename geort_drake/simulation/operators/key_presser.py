@@ -5,8 +5,7 @@ import enum
 
 import numpy as np
 
-from geort_drake.simulation.operators.finger_person import FingerPerson, SeenFingers
-from geort_drake.simulation.operators.finger_state import FingerState
+from geort_drake.simulation.operators.finger_person import FingerPerson, FingerState, SeenFingers
 from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.wrist_motion import minimum_jerk
 
