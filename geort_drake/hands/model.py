@@ -4,6 +4,7 @@ import dataclasses as dc
 import hashlib
 import json
 import os
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,11 +13,10 @@ from pydrake.geometry import (
     GeometryId,
     GeometrySet,
     QueryObject,
-    Role,
     SceneGraphInspector,
 )
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import Frame, RevoluteJoint, RigidBody
+from pydrake.multibody.tree import Frame, ModelInstanceIndex, RevoluteJoint
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError
@@ -28,7 +28,7 @@ from geort_drake.hands.assembly import (
 )
 from geort_drake.hands.chains import PlantFingertips, finger_chain
 from geort_drake.hands.couplings import JointCouplings, position_limits
-from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.description import FingerDescription, HandDescription, load_hand
 from geort_drake.hands.model_files import digest_of_contents, model_files
 from geort_drake.resources import resolve_uri
 from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
@@ -90,19 +90,18 @@ class HandModel:
         self.diagram = builder.Build()
 
         self._order = np.array([joint.position_start() for joint in (*joints, *followers)])
-        tips = [
-            self._frame(finger.tip_link, f"fingers.{finger.name}.tip_link").body()
-            for finger in description.fingers
-        ]
+        for finger in description.fingers:
+            self._frame(finger.tip_link, f"fingers.{finger.name}.tip_link")  # raises HandError without one
         self._fingertips = PlantFingertips(self.plant, description, self.instance, self.joint_names)
         inspector = self.scene_graph.model_inspector()
-        self._tip_geometries = {id for link in tips for id in tip_geometries(self.plant, inspector, link)}
+        tips = tip_geometries(self.plant, inspector, self.instance, description.fingers)
+        self._tip_geometries = set(tips)
         self._contact_context = self.diagram.CreateDefaultContext()
         # In this context, contacts between fingertips are filtered.
         self._beyond_tips_context = self.diagram.CreateDefaultContext()
         self.scene_graph.collision_filter_manager(
             self.scene_graph.GetMyMutableContextFromRoot(self._beyond_tips_context)
-        ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(list(self._tip_geometries))))
+        ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(tips)))
         # Visual geometry would slow each query down by a tenth.
         for context in (self._contact_context, self._beyond_tips_context):
             remove_visuals(self.plant, self.scene_graph, context)
@@ -257,12 +256,18 @@ class HandModel:
 
 
 def tip_geometries(
-    plant: MultibodyPlant, inspector: SceneGraphInspector, tip_link: RigidBody
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+    hand: ModelInstanceIndex,
+    fingers: Iterable[FingerDescription],
 ) -> list[GeometryId]:
-    """Returns the collision geometries of a tip link with "tip" in their names, or all if there are none."""
-    frame = plant.GetBodyFrameIdOrThrow(tip_link.index())
-    everything = inspector.GetGeometries(frame, Role.kProximity)
-    return [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]] or everything
+    """Returns the collision geometries of tip links with "tip" in their names; all of a link without any."""
+    tips: list[GeometryId] = []
+    for finger in fingers:
+        link = plant.GetFrameByName(finger.tip_link, hand).body()
+        everything = plant.GetCollisionGeometriesForBody(link)
+        tips += [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]] or everything
+    return tips
 
 
 def _digest(description: HandDescription, model_sha256: str) -> str:

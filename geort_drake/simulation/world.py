@@ -272,11 +272,7 @@ def _soften_fingertips(
 ) -> None:
     """Makes fingertips compliant hydroelastic with modulus E (Pa), and the body rigid hydroelastic."""
     inspector, hand = scene_graph.model_inspector(), plant.GetModelInstanceByName(HAND)
-    tips = [
-        geometry
-        for finger in description.fingers
-        for geometry in tip_geometries(plant, inspector, plant.GetBodyByName(finger.tip_link, hand))
-    ]
+    tips = tip_geometries(plant, inspector, hand, description.fingers)
     for geometry in [*tips, *plant.GetCollisionGeometriesForBody(body)]:
         properties = inspector.GetProximityProperties(geometry)
         if geometry in tips:

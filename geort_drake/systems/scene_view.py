@@ -72,11 +72,7 @@ class SceneView(LeafSystem):
             for of_finger in finger_links(plant, description, hand)
         ]
         self._body_of_geometry = bodies_of_geometries(plant)
-        self._tip_geometries = {
-            geometry
-            for finger in description.fingers
-            for geometry in tip_geometries(plant, inspector, plant.GetBodyByName(finger.tip_link, hand))
-        }
+        self._tip_geometries = {*tip_geometries(plant, inspector, hand, description.fingers)}
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())

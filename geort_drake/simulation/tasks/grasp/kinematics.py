@@ -231,11 +231,7 @@ class GraspKinematics:
 
     def _allow_tip_contacts(self, scene_graph: SceneGraph) -> None:
         """Filters collisions of grasping fingertips with each other, the object and its support."""
-        tips = [
-            geometry
-            for finger in self._grasping
-            for geometry in tip_geometries(self._plant, scene_graph.model_inspector(), self._tip_body(finger))
-        ]
+        tips = tip_geometries(self._plant, scene_graph.model_inspector(), self._hand, self._grasping)
         # The object and its support are welded to the world.
         fixed = [
             geometry
