@@ -23,9 +23,6 @@ class Inbox:
         messages, self.messages = self.messages, []
         return messages
 
-    def close(self) -> None:
-        pass
-
 
 class Clock:
     """A clock that a test sets, s."""

@@ -5,7 +5,6 @@ push+tcp://127.0.0.1:8000 (for pull+tcp://…), lcm, or lcm+URL. Ctrl-C stops it
 """
 
 import argparse
-import time
 from pathlib import Path
 
 from geort_drake.cli.options import CommandParser
@@ -34,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with stopping() as stop:
             while True:
-                sent += play(recording, sender.send, stop, time.monotonic)
+                sent += play(recording, sender.send, stop)
                 if stop.is_set() or not arguments.loop:
                     break
     finally:

@@ -38,18 +38,8 @@ class Receiver(Protocol):
     def drain(self) -> list[bytes]:
         """Returns the messages since the last call, oldest first; does not wait."""
 
-    def close(self) -> None: ...
 
-
-class Sender(Protocol):
-    """Sends messages."""
-
-    def send(self, message: bytes) -> None: ...
-
-    def close(self) -> None: ...
-
-
-def open_receiver(address: str) -> Receiver:
+def open_receiver(address: str) -> "LcmReceiver | ZmqReceiver":
     """Connects to a glove's address.
 
     Raises:
@@ -59,7 +49,7 @@ def open_receiver(address: str) -> Receiver:
     return LcmReceiver(endpoint) if pattern == "lcm" else ZmqReceiver(pattern, endpoint)
 
 
-def open_sender(address: str) -> Sender:
+def open_sender(address: str) -> "LcmSender | ZmqSender":
     """Binds to an address to which receivers of a glove connect.
 
     Raises:

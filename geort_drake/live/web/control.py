@@ -84,8 +84,26 @@ class PageControl:
         recorder.switch(None)
 
     def end(self) -> None:
-        """Ends the session's recording."""
-        self._finish_recording()
+        """Ends the session's recording, if there is one."""
+        if self._parts is None:
+            return
+        parts, self._parts = self._parts, None
+        self.recorder.switch(None)
+        facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
+        retargeter, simulated = self._map.file, self.loop.simulation is not None
+
+        # In a thread, because joining takes longer than a step of the loop, and exporting much longer.
+        def finish() -> None:
+            try:
+                if parts.finish(facts):
+                    self.recordings.append(parts.path)
+                    self._export(parts.path, retargeter, simulated)
+            except GeortError as error:
+                self.note = str(error)
+                warn(f"{parts.path}: {error}")
+
+        self._finishing.append(threading.Thread(target=finish, name="finishing", daemon=True))
+        self._finishing[-1].start()
 
     def close(self) -> None:
         """Waits until all recordings are written, and ends a running fit."""
@@ -114,7 +132,7 @@ class PageControl:
                 self._consent = True
             elif isinstance(command, Stop):
                 self._consent = False
-                self._finish_recording()
+                self.end()
             elif isinstance(command, Guide):
                 self._guide, self._missing = GuidedPlay(time.monotonic(), self._station.about.side), []
             elif isinstance(command, Refit):
@@ -123,7 +141,7 @@ class PageControl:
                 self._map.begin_fit(self._guide, self._station.about.hand, kept)
         if self._parts is not None and self._parts.failed:
             self._consent = False
-            self._finish_recording()
+            self.end()
         if math.isnan(self._started):
             self.loop.restart(root)
             self._started = root.get_time() if engaged else math.nan
@@ -170,27 +188,6 @@ class PageControl:
             self.note, self._consent = str(error), False
             return
         self.recorder.switch(self._parts)
-
-    def _finish_recording(self) -> None:
-        if self._parts is None:
-            return
-        parts, self._parts = self._parts, None
-        self.recorder.switch(None)
-        facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
-        retargeter, simulated = self._map.file, self.loop.simulation is not None
-
-        # In a thread, because joining takes longer than a step of the loop, and exporting much longer.
-        def finish() -> None:
-            try:
-                if parts.finish(facts):
-                    self.recordings.append(parts.path)
-                    self._export(parts.path, retargeter, simulated)
-            except GeortError as error:
-                self.note = str(error)
-                warn(f"{parts.path}: {error}")
-
-        self._finishing.append(threading.Thread(target=finish, name="finishing", daemon=True))
-        self._finishing[-1].start()
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
         station, guide = self._station, self._guide

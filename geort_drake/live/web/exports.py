@@ -8,6 +8,20 @@ from pathlib import Path
 from geort_drake.errors import LiveError
 
 
+def start_command(*words: str | Path) -> "subprocess.Popen[str]":
+    """Starts a command of the package with low priority; its standard error is a pipe."""
+    command = ["nice", "-n", "10", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
+    # In a process group of its own, so that Ctrl-C does not end it.
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
 class SessionExports:
     """Exports sessions one after another, in processes of low priority.
 
@@ -48,18 +62,10 @@ class SessionExports:
             self._run("export", session, folder / "lerobot", "--format", "lerobot")
 
     def _run(self, *words: str | Path) -> None:
-        command = ["nice", "-n", "10", sys.executable, "-m", "geort_drake", *map(str, words), "--quiet"]
         with self._lock:
             if self._closed:
                 raise LiveError(f"{words[0]}: closed before it started")
-            # In a process group of its own, so that Ctrl-C does not end it.
-            self._process = process = subprocess.Popen(
-                command,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                start_new_session=True,
-            )
+            self._process = process = start_command(*words)
             _, errors = process.communicate()
         if process.returncode:
             raise LiveError(f"{words[0]}: {errors.strip()[-300:] or 'ended before it was done'}")

@@ -124,9 +124,6 @@ class OperatorStation:
             hands.append(self._hands.popleft())
         return hands
 
-    def close(self) -> None:
-        """Does nothing; the server closes the connections."""
-
     def join(self, person: int) -> dict[str, Any]:
         """Adds a connection, a spectator until its `hello`, and returns the first message to it."""
         self._people.add(person)

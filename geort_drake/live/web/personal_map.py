@@ -1,7 +1,5 @@
 """Fits the universal map to the person at the page, and switches to the fitted map."""
 
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,6 +8,7 @@ from pydrake.systems.framework import Context
 
 from geort_drake.errors import GeortError
 from geort_drake.live.teleoperation import Teleoperation
+from geort_drake.live.web.exports import start_command
 from geort_drake.live.web.guide import GuidedPlay
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import Retargeter
@@ -30,14 +29,7 @@ class Refitting:
 
     def __init__(self, recording: Path, output: Path, hand: str, map_file: Path):
         self.output = output
-        command = [sys.executable, "-m", "geort_drake", "refit", recording, output, "--hand", hand, "--quiet"]
-        self._process = subprocess.Popen(
-            ["nice", "-n", "10", *map(str, [*command, "--map", map_file])],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+        self._process = start_command("refit", recording, output, "--hand", hand, "--map", map_file)
 
     def state(self) -> dict[str, str]:
         """Returns the state of the fit for the page."""
