@@ -227,8 +227,8 @@ def objects_table() -> str:
     from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
     from pydrake.systems.framework import DiagramBuilder
 
+    from geort_drake.resources import object_names
     from geort_drake.simulation.object_shape import object_shape
-    from geort_drake.simulation.scenario import object_names
     from geort_drake.simulation.tasks.grasp.contacts import grip_of
     from geort_drake.simulation.world import add_object
 

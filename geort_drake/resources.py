@@ -20,6 +20,16 @@ def models_dir() -> Path:
     return resource_root() / "models"
 
 
+def hand_names() -> list[str]:
+    """Returns the names of the hands in models/hands, including those that users added."""
+    return sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml"))
+
+
+def object_names() -> list[str]:
+    """Returns the names of the objects that come with the package."""
+    return sorted(path.stem for path in (models_dir() / "sdf" / "objects").glob("*.sdf"))
+
+
 def diagrams_dir() -> Path:
     """Directory of the scenarios and model directives."""
     return resource_root() / "diagrams"

@@ -23,9 +23,10 @@ from geort_drake.errors import ScenarioError
 from geort_drake.files import write_text
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
+from geort_drake.resources import object_names
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.simulation.object_shape import object_shape
-from geort_drake.simulation.scenario import Scenario, object_names
+from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner

@@ -15,8 +15,8 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake import load_hand
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.importers.proposal import propose
+from geort_drake.resources import object_names
 from geort_drake.simulation.object_shape import object_shape
-from geort_drake.simulation.scenario import object_names
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     contact_heights,

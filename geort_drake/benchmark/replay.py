@@ -25,10 +25,11 @@ from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
+from geort_drake.resources import object_names
 from geort_drake.retargeting.checkpoint import WEIGHTS
 from geort_drake.retargeting.method import Retarget
 from geort_drake.retargeting.retargeter import UniversalRetargeter, load_retargeter, path_of, shipped_map
-from geort_drake.simulation.scenario import Scenario, dump_scenario, object_names, scenario_fields
+from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
 from geort_drake.simulation.scenario_files import check_scenario
 from geort_drake.simulation.world import draw_placement
 

@@ -30,7 +30,7 @@ from geort_drake.cli.options import (
     write_json,
 )
 from geort_drake.errors import ScenarioError
-from geort_drake.resources import models_dir
+from geort_drake.resources import object_names
 
 if TYPE_CHECKING:
     from geort_drake import Recording
@@ -45,10 +45,9 @@ EPILOG = "{methods}"
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_output("runs/grasp", "results.json")
-    names = ", ".join(sorted(path.stem for path in (models_dir() / "sdf" / "objects").glob("*.sdf")))
     objects = (
-        f"objects to grasp, of {names} (default: the scenario's object, or {' '.join(DEFAULT_OBJECTS)} if it "
-        "has none)"
+        f"objects to grasp, of {', '.join(object_names())} (default: the scenario's object, or "
+        f"{' '.join(DEFAULT_OBJECTS)} if it has none)"
     )
     add("--objects", nargs="+", metavar="NAME", help=objects)
     add("--trials", type=at_least(1), default=1, help="trials per object, each with its own seed")

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from geort_drake.errors import OutputError, UsageError
 from geort_drake.files import finite_json, require_writable, write_text
-from geort_drake.resources import models_dir
+from geort_drake.resources import hand_names
 
 if TYPE_CHECKING:
     from geort_drake.simulation.scenario import Scenario
@@ -93,8 +93,7 @@ class CommandParser(argparse.ArgumentParser):
 
     def add_hand(self, default: str | None = DEFAULT_HAND, note: str = "", group: Any = None) -> None:
         """Adds --hand; `note` describes the default in the help."""
-        names = ", ".join(sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml")))
-        text = f"robot hand: one of {names}, or a description file{note}"
+        text = f"robot hand: one of {', '.join(hand_names())}, or a description file{note}"
         (group or self).add_argument("--hand", default=default, help=text)
 
     def add_seed(self, what: str) -> None:

@@ -13,7 +13,7 @@ from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.files import require_fetched, write_text
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import SIDES
-from geort_drake.resources import PACKAGE_NAME, models_dir
+from geort_drake.resources import PACKAGE_NAME, hand_names, models_dir
 from geort_drake.yaml_files import check_fields, fault_of
 
 
@@ -212,13 +212,8 @@ def resolved_couplings(couplings: list[CouplingDescription]) -> list[CouplingDes
     return [resolve(coupling, set()) for coupling in couplings]
 
 
-def hand_names() -> list[str]:
-    """Returns the names of the hands in models/hands, including those that users added."""
-    return sorted(path.stem for path in (models_dir() / "hands").glob("*.yaml"))
-
-
 def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescription:
-    """Loads a hand description by name, one of `hand_names()`, or by the path of a `.yaml` file.
+    """Loads a hand description by its name or by the path of a `.yaml` file.
 
     A description is returned unchanged.
 

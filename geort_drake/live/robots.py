@@ -1,7 +1,6 @@
 """Simulated robots: one inside the teleoperation diagram, and a stand-in for a real one behind LCM."""
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer
@@ -111,19 +110,16 @@ class JointServer(LeafSystem):
         device: device whose messages are used.
         lcm: the bus.
         group: the model's joints; commands are clamped to their limits.
-        clock: clock of the time in statuses, s.
 
     Raises:
         HandError: device and model have different joints.
     """
 
-    def __init__(
-        self, device: Device, lcm: DrakeLcm, group: JointGroup, clock: Callable[[], float] = time.monotonic
-    ):
+    def __init__(self, device: Device, lcm: DrakeLcm, group: JointGroup):
         super().__init__()
-        self._device, self._lcm, self._clock, self._group = device, lcm, clock, group
+        self._device, self._lcm, self._group = device, lcm, group
         self._to_model = device.model_order(group)
-        self.inbox = LcmInbox(lcm, {device.command_channel: device.decode_command}, clock)
+        self.inbox = LcmInbox(lcm, {device.command_channel: device.decode_command})
         n = len(group.joints)
         self._measured = self.DeclareVectorInputPort("state", 2 * n)
         self._commanded = self.DeclareDiscreteState(group.start)
@@ -148,7 +144,7 @@ class JointServer(LeafSystem):
         position, velocity = np.split(self._measured.Eval(context), 2)
         parts = (position, velocity, context.get_discrete_state(self._commanded).value())
         status = JointStatus(*(part[np.argsort(self._to_model)] for part in parts))
-        self._lcm.Publish(self._device.status_channel, self._device.encode_status(self._clock(), status))
+        self._lcm.Publish(self._device.status_channel, self._device.encode_status(time.monotonic(), status))
         return EventStatus.Succeeded()
 
 

@@ -12,7 +12,7 @@ from pydrake.multibody.parsing import ModelDirective
 from pydrake.multibody.plant import MultibodyPlantConfig
 
 from geort_drake.errors import UnknownNameError
-from geort_drake.resources import models_dir
+from geort_drake.resources import models_dir, object_names
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import IntentionConfig
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitorConfig
@@ -122,11 +122,6 @@ class Scenario:
     wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)
     monitor: GraspMonitorConfig = dc.field(default_factory=GraspMonitorConfig)
     recording: RecordingConfig = dc.field(default_factory=RecordingConfig)
-
-
-def object_names() -> list[str]:
-    """Returns the names of the objects that come with the package."""
-    return sorted(path.stem for path in (models_dir() / "sdf" / "objects").glob("*.sdf"))
 
 
 def object_file(name: str) -> Path:

@@ -11,11 +11,11 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.files import finite_json
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.resources import diagrams_dir
+from geort_drake.resources import diagrams_dir, object_names
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.intention import SERVO
 from geort_drake.simulation.operators.simulated_operator import Person
-from geort_drake.simulation.scenario import Scenario, object_names
+from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage, Task, TrialResult
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspOutcome, GraspPhase
