@@ -47,10 +47,14 @@ def _factor(
     return Parameter(f"{label}, factor", values, change, lambda _: 1.0)
 
 
-def _set(field: str, unit: float = 1) -> Callable[[Scenario, float], None]:
-    """Returns a function that sets a field, such as "glove.shift", to `unit` times a value."""
+def _field(label: str, values: tuple[float, ...], field: str, unit: float = 1.0) -> Parameter:
+    """Returns a parameter that sets a field, such as "glove.shift", to `unit` times its value."""
     part, _, name = field.rpartition(".")
-    return lambda scenario, value: setattr(attrgetter(part)(scenario), name, unit * value)
+
+    def change(scenario: Scenario, value: float) -> None:
+        setattr(attrgetter(part)(scenario), name, unit * value)
+
+    return Parameter(label, values, change, lambda scenario: round(attrgetter(field)(scenario) / unit, 9))
 
 
 def _shift_glove(scenario: Scenario, shift: float) -> None:
@@ -66,18 +70,8 @@ def _soften(scenario: Scenario, modulus: float) -> None:
 
 # Parameters that the sensitivity analysis of a grasp benchmark changes.
 ASSUMPTIONS = {
-    "delay": Parameter(
-        "visual delay, ms",
-        (0, 100, 300),
-        _set("operator.visual_delay", 1e-3),
-        lambda s: round(1000 * s.operator.visual_delay, 9),
-    ),
-    "gain": Parameter(
-        "correction rate of a seen error, 1/s",
-        (0.5, 1, 3),
-        _set("operator.correction_rate"),
-        lambda s: s.operator.correction_rate,
-    ),
+    "delay": _field("visual delay, ms", (0, 100, 300), "operator.visual_delay", 1e-3),
+    "gain": _field("correction rate of a seen error, 1/s", (0.5, 1, 3), "operator.correction_rate"),
     "noise": _factor("the person's noise", (0, 2, 4), attrgetter("operator"), *_NOISES),
     "touch": Parameter(
         "felt forces (0: none)",
@@ -85,18 +79,13 @@ ASSUMPTIONS = {
         lambda s, value: setattr(s.operator, "touch", bool(value)),
         lambda s: float(s.operator.touch),
     ),
-    "tracker": Parameter(
-        "angle between tracker and world, °",
-        (5, 10, 15),
-        _set("glove.misalignment", math.radians(1)),
-        lambda s: math.degrees(s.glove.misalignment),
+    "tracker": _field(
+        "angle between tracker and world, °", (5, 10, 15), "glove.misalignment", math.radians(1)
     ),
     "donning": Parameter(
         "shift of the glove, mm", (5, 10), _shift_glove, lambda s: round(1000 * s.glove.shift, 9)
     ),
-    "dropouts": Parameter(
-        "gaps of 40 ms, 1/s", (1, 3), _set("glove.dropout_rate"), lambda s: s.glove.dropout_rate
-    ),
+    "dropouts": _field("gaps of 40 ms, 1/s", (1, 3), "glove.dropout_rate"),
     "person": Parameter(
         "person, by number in the population of seed 0",
         (1, 2, 3),
@@ -113,22 +102,12 @@ ASSUMPTIONS = {
     ),
 }
 
-
-def _range(label: str, sizes: tuple[float, ...], field: str, unit: float = 1.0) -> Parameter:
-    """Returns a range of random changes of the object; a size times `unit` is the scenario's `field`."""
-
-    def change(scenario: Scenario, size: float) -> None:
-        setattr(scenario.object, field, unit * size)
-
-    return Parameter(label, sizes, change, lambda _: 0.0)
-
-
-# Parameters that replays change.
+# Ranges of random changes of the object that replays change.
 PERTURBATIONS = {
-    "position": _range("largest shift in x and y, mm", (5, 10, 20), "position_range", 1e-3),
-    "yaw": _range("largest rotation, °", (5, 15, 30), "yaw_range", math.radians(1)),
-    "mass": _range("largest change of mass, fraction", (0.2, 0.5, 0.8), "mass_range"),
-    "friction": _range("largest change of friction, fraction", (0.2, 0.5, 0.8), "friction_range"),
+    "position": _field("largest shift in x and y, mm", (5, 10, 20), "object.position_range", 1e-3),
+    "yaw": _field("largest rotation, °", (5, 15, 30), "object.yaw_range", math.radians(1)),
+    "mass": _field("largest change of mass, fraction", (0.2, 0.5, 0.8), "object.mass_range"),
+    "friction": _field("largest change of friction, fraction", (0.2, 0.5, 0.8), "object.friction_range"),
 }
 
 
