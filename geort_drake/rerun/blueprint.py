@@ -14,7 +14,7 @@ _BACKGROUND, _GRID = (70, 76, 88), (92, 99, 112, 255)
 # Heights in the viewer, px: title and ruler of a view of lanes; a lane; all views in a window of 720 px.
 _RULER, _LANE, _WINDOW = 48, 40, 650
 # For layouts in other packages, which do not import Rerun.
-Horizontal, Vertical, Tabs = rrb.Horizontal, rrb.Vertical, rrb.Tabs
+Horizontal, Vertical = rrb.Horizontal, rrb.Vertical
 TextDocumentView, StateTimelineView = rrb.TextDocumentView, rrb.StateTimelineView
 View = rrb.Container | rrb.View
 Vector = Sequence[float] | np.ndarray
