@@ -23,7 +23,7 @@ COMMANDS = [
     "joints.command.thumb.j0", "joints.command.thumb.j1", "joints.command.index.j2",
     "arm.command.shoulder", "arm.command.elbow",
 ]  # fmt: skip
-FRAMES = {"cube-0": 30, "cube-1": 20}
+FRAMES = {"cube-0": 30, "cube-1": 20, "sphere-0": 10}
 PERIOD = 0.02
 SCENARIO = "Resolved:\n  hand: allegro_right\n  hand_parent: adapter::hand_side\n"
 
@@ -48,14 +48,10 @@ def glove(seconds):
 
 @pytest.fixture
 def run(tmp_path):
-    """A run of two trials, written as the simulation writes it; the robot lags its commands by 0.1 rad."""
-    return write_run(tmp_path / "run", FRAMES)
-
-
-def write_run(folder, lengths):
-    """Writes a run; `lengths` maps a trial's name to its number of frames."""
+    """A run of three trials, written as the simulation writes it; the robot lags its commands by 0.1 rad."""
+    folder = tmp_path / "run"
     trials = []
-    for number, (name, frames) in enumerate(lengths.items()):
+    for number, (name, frames) in enumerate(FRAMES.items()):
         thing = name.partition("-")[0]
         t = PERIOD * np.arange(frames)
         asked = np.array([command(time) for time in t])
@@ -80,11 +76,21 @@ def write_run(folder, lengths):
 
 
 def test_parquet_holds_the_run(run, tmp_path):
-    """Arrow reads one table of all frames, null where the hand was lost, and one of the trials."""
+    """Arrow reads one table of all frames, null where the hand was lost, and one of the trials.
+
+    Each object has a column of poses, null in other trials.
+    """
     output = tmp_path / "out"
     assert list(write_parquet(read_episodes(run), output)) == list(FRAMES)
     frames = pyarrow.dataset.dataset(output / "frames").to_table().to_pylist()
-    assert len(frames) == 50
+    assert len(frames) == 60
+    poses = [name for name in frames[0] if name.startswith("pose.")]
+    given = {(row["episode"], name) for row in frames for name in poses if row[name] is not None}
+    assert given == {
+        (episode, f"pose.{body}")
+        for episode in FRAMES
+        for body in ("hand.palm", "adapter.plate", f"{episode[:-2]}.{episode[:-2]}")
+    }
     row = next(row for row in frames if row["episode"] == "cube-0" and row["t"] == pytest.approx(0.4))
     assert row["joints.command.thumb.j1"] == pytest.approx(0.04)
     assert row["joints.measured.thumb.j1"] == pytest.approx(-0.06)
@@ -99,31 +105,9 @@ def test_parquet_holds_the_run(run, tmp_path):
     assert all(row["glove.p_HK"] is None and row["glove.X_WH"] is None for row in lost)
     trials = pq.read_table(output / "episodes.parquet").to_pylist()
     assert [(trial["episode"], trial["success"], trial["frames"]) for trial in trials] == [
-        ("cube-0", True, 30), ("cube-1", False, 20)
+        ("cube-0", True, 30), ("cube-1", False, 20), ("sphere-0", False, 10)
     ]  # fmt: skip
     assert json.loads(trials[0]["phase_times"]) == {"HOLD": 0.1}
-
-
-def test_trials_of_several_objects_are_one_dataset(tmp_path):
-    """In Parquet each object has a column of poses, null in other trials; in LeRobot they share one."""
-    folder = write_run(tmp_path / "run", {"cylinder-0": 20, "cube-0": 30})
-    list(write_parquet(read_episodes(folder), tmp_path / "out"))
-    frames = pyarrow.dataset.dataset(tmp_path / "out" / "frames").to_table().to_pylist()
-    given = {
-        (row["episode"], name)
-        for row in frames
-        for name in row
-        if name[:5] == "pose." and row[name] is not None
-    }
-    assert given == {
-        (f"{thing}-0", f"pose.{body}")
-        for thing in ("cube", "cylinder")
-        for body in ("hand.palm", "adapter.plate", f"{thing}.{thing}")
-    }
-    list(write_lerobot(read_episodes(folder), tmp_path / "dataset"))
-    info = json.loads((tmp_path / "dataset" / "meta" / "info.json").read_text())
-    assert info["features"]["observation.environment_state"]["shape"] == [7]
-    assert info["total_episodes"] == 2
 
 
 def lerobot_episode(folder, episode):
@@ -141,7 +125,7 @@ def test_rerun_reads_the_lerobot_dataset(run, tmp_path):
     output = tmp_path / "dataset"
     assert list(write_lerobot(read_episodes(run), output)) == list(FRAMES)
     reader = LeRobotReader(output)
-    assert (reader.version, reader.episodes()) == ("v3", [0, 1])
+    assert (reader.version, reader.episodes()) == ("v3", [0, 1, 2])
     for number, (name, frames) in enumerate(FRAMES.items()):
         features, t = lerobot_episode(output, number), PERIOD * np.arange(frames)
         asked = np.array([command(time) for time in t])
@@ -163,29 +147,31 @@ def test_the_lerobot_layout_is_the_documented_one(run, tmp_path):
     list(write_lerobot(read_episodes(run), output, fps=25))
     info = json.loads((output / "meta" / "info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["robot_type"]) == ("v3.0", 25, "allegro_right")
-    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (2, 25, 1)
-    assert info["splits"] == {"train": "0:2"}
-    files = [output / info["data_path"].format(chunk_index=0, file_index=number) for number in (0, 1)]
+    assert (info["total_episodes"], info["total_frames"], info["total_tasks"]) == (3, 30, 2)
+    assert info["splits"] == {"train": "0:3"}
+    assert info["features"]["observation.environment_state"]["shape"] == [7]  # also of several objects
+    files = [output / info["data_path"].format(chunk_index=0, file_index=number) for number in range(3)]
     data = pyarrow.dataset.dataset(files).to_table()
     assert set(info["features"]) == set(data.schema.names)
     rows = data.to_pylist()
-    assert [row["index"] for row in rows] == list(range(25))
-    assert [row["frame_index"] for row in rows] == [*range(15), *range(10)]
-    assert [row["next.done"] for row in rows].count(True) == 2
+    assert [row["index"] for row in rows] == list(range(30))
+    assert [row["frame_index"] for row in rows] == [*range(15), *range(10), *range(5)]
+    assert [row["next.done"] for row in rows].count(True) == 3
     assert [i for i, row in enumerate(rows) if row["next.success"]] == [14]
     episodes = pq.read_table(output / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pylist()
     assert [(e["dataset_from_index"], e["dataset_to_index"], e["length"]) for e in episodes] == [
-        (0, 15, 15), (15, 25, 10)
+        (0, 15, 15), (15, 25, 10), (25, 30, 5)
     ]  # fmt: skip
-    assert episodes[0]["tasks"] == ["grasp the cube"]
+    tasks = ["grasp the cube", "grasp the sphere"]
+    assert [e["tasks"] for e in episodes] == [tasks[:1], tasks[:1], tasks[1:]]
     statistics = json.loads((output / "meta" / "stats.json").read_text())
     actions = np.array([row["action"] for row in rows])
     np.testing.assert_allclose(statistics["action"]["mean"], actions.mean(axis=0), atol=1e-6)
     np.testing.assert_allclose(statistics["action"]["std"], actions.std(axis=0), atol=1e-6)
-    assert statistics["action"]["count"] == [25]
-    tasks = pq.read_table(output / "meta" / "tasks.parquet")
-    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
-    assert tasks.to_pylist() == [{"task_index": 0, "task": "grasp the cube"}]
+    assert statistics["action"]["count"] == [30]
+    table = pq.read_table(output / "meta" / "tasks.parquet")
+    assert json.loads(table.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+    assert table.to_pylist() == [{"task_index": i, "task": task} for i, task in enumerate(tasks)]
 
 
 def test_a_lost_hand_stays_where_it_was_seen(run):
@@ -223,7 +209,7 @@ def test_unsuitable_exports_are_refused(run, tmp_path):
     play = synthesize_play(0, 2.0, 30.0)
     with pytest.raises(RecordingError, match="no robot, so export it as Parquet"):
         list(write_lerobot([episode_of(play, "play")], tmp_path / "out"))
-    first, second = read_episodes(run)
+    first, second, _ = read_episodes(run)
     del second.signals[second.command_names[0]]
     with pytest.raises(RecordingError, match="cube-1: its action differs from earlier episodes"):
         list(write_lerobot([first, second], tmp_path / "out"))

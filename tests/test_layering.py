@@ -1,10 +1,10 @@
 """Subpackages import only lower ones, modules import in no cycle, and light modules stay light."""
 
 import ast
+import functools
 import graphlib
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,20 +17,23 @@ SUBPACKAGES = [
 ]  # fmt: skip
 
 
-def imports(path: Path, outermost: bool = False) -> Iterator[str]:
+@functools.cache
+def imports(path: Path, outermost: bool = False) -> list[str]:
     """What a file imports: everything, or with `outermost` what runs when it is imported itself."""
     todo: list[ast.AST] = [ast.parse(path.read_text(encoding="utf-8"))]
+    found = []
     while todo:
         node = todo.pop()
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
         inner = isinstance(node, ast.FunctionDef | ast.Lambda) or (
             isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
         )
         if not (outermost and inner):
             todo.extend(ast.iter_child_nodes(node))
+    return found
 
 
 def modules() -> dict[str, Path]:
@@ -69,15 +72,22 @@ def test_no_modules_import_each_other_in_a_cycle():
 def test_a_package_is_kept_out_of_subpackages(package, subpackage):
     """People and retargeting run without Drake; only the bridge imports Rerun; pyzmq is an extra."""
     for path in (PACKAGE / subpackage).rglob("*.py"):
-        if package != "rerun" or path.parent.name not in ("rerun",):
-            outermost = package == "zmq"
-            used = {name.split(".")[0] for name in imports(path, outermost)}
+        if package != "rerun" or path.parent.name != "rerun":
+            used = {name.split(".")[0] for name in imports(path, outermost=package == "zmq")}
             assert package not in used, path
 
 
-@pytest.mark.parametrize("module", ["retargeting.retargeter", "retargeting.methods.online"])
-def test_a_retargeter_needs_no_heavy_package(module):
-    """On the robot it needs NumPy and nothing of training or simulation."""
-    code = f"import sys, geort_drake.{module}; print(*sys.modules)"
+@pytest.mark.parametrize(
+    ("module", "packages"),
+    [
+        ("geort_drake", set()),
+        ("geort_drake.retargeting.retargeter", {"numpy", "safetensors"}),
+        ("geort_drake.retargeting.methods.online", {"numpy"}),
+    ],
+)
+def test_a_light_module_loads_only_what_it_needs(module, packages):
+    """The package loads nothing until it is used; on the robot a retargeter needs NumPy."""
+    code = f"import sys; before = {{*sys.modules}}; import {module}; print(*({{*sys.modules}} - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"torch", "pydrake", "rerun", "matplotlib", "rich"} & {*done.stdout.split()}
+    loaded = {name.split(".")[0].lstrip("_") for name in done.stdout.split()}
+    assert loaded - {name.lstrip("_") for name in sys.stdlib_module_names} == {"geort_drake"} | packages
