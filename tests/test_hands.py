@@ -9,10 +9,9 @@ import trimesh
 from hand_family import HandSpec, write_hand
 from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlantConfig
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import HandModel, load_hand, load_scenario
+from geort_drake import HandModel, load_scenario
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.chains import finger_links, palm_links
@@ -21,7 +20,7 @@ from geort_drake.hands.description import CouplingDescription, HandDescription, 
 from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-from geort_drake.simulation.world import add_object, add_scene
+from geort_drake.simulation.world import add_scene
 from geort_drake.systems.scene_view import SceneView
 
 
@@ -108,8 +107,11 @@ def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):
     assert HandModel(load()).digest != bare.digest
 
 
-def test_kinematics_survive_an_offset_base_and_welded_links(allegro_copy, rng, tmp_path):
-    """With a base frame away from its link, and a tip on a welded link, torch agrees with Drake to 1e-9 m."""
+def test_kinematics_survive_offset_bases_welded_links_and_held_joints(allegro_copy, rng, tmp_path):
+    """With a base frame away from its link, and a tip on a welded link, torch agrees with Drake to 1e-9 m.
+
+    A joint that no finger lists is held at its default: the finger moves like the whole one with it there.
+    """
     facts, load = allegro_copy
     sdf = tmp_path / "hand.sdf"
     extra = """
@@ -123,23 +125,16 @@ def test_kinematics_survive_an_offset_base_and_welded_links(allegro_copy, rng, t
     sdf.write_text(sdf.read_text(encoding="utf-8").replace("  </model>", extra), encoding="utf-8")
     facts["base_frame"] = "tilted_base"
     facts["fingers"][1].update(tip_link="nail", tip_point=[0.004, -0.003, 0.002])
-    hand = HandModel(load())
-    q = _uniform(hand, rng, 50)
-    tips = hand.kinematics().fingertips(torch.tensor(q))
-    np.testing.assert_allclose(tips.numpy(), hand.fingertips(q), atol=1e-9)
-
-
-def test_a_joint_that_no_finger_lists_is_held_at_its_default(allegro_copy, rng):
-    """The finger has one joint less, and moves like the whole one with that joint at this angle."""
-    facts, load = allegro_copy
     whole = HandModel(load())
     facts["fingers"][1]["joints"].remove("joint_0")
     facts["default_positions"]["joint_0"] = 0.2
     hand = HandModel(load())
-    q = _uniform(hand, rng, 20)
-    np.testing.assert_allclose(hand.kinematics().fingertips(torch.tensor(q)), hand.fingertips(q), atol=1e-9)
-    at = whole.joint_names.index("joint_0")
-    np.testing.assert_allclose(whole.fingertips(np.insert(q, at, 0.2, axis=1)), hand.fingertips(q), atol=1e-9)
+    q = _uniform(hand, rng, 50)
+    q_whole = np.insert(q, whole.joint_names.index("joint_0"), 0.2, axis=1)
+    for model, positions in ((hand, q), (whole, q_whole), (whole, _uniform(whole, rng, 50))):
+        tips = model.kinematics().fingertips(torch.tensor(positions)).numpy()
+        np.testing.assert_allclose(tips, model.fingertips(positions), atol=1e-9)
+    np.testing.assert_allclose(whole.fingertips(q_whole), hand.fingertips(q), atol=1e-9)
 
 
 # -- the digest
@@ -217,36 +212,41 @@ def description(tmp_path) -> HandDescription:
     return hand
 
 
-def _plant(description: HandDescription, object_name: str = "sphere"):
-    """The hand with its base at the world's origin, and an object beside it."""
-    builder = DiagramBuilder()
-    # Ports that are not sampled show contacts before the first step.
-    config = MultibodyPlantConfig(
-        time_step=0.002, discrete_contact_approximation="sap", use_sampled_output_ports=False
-    )
-    plant, _ = AddMultibodyPlant(config, builder)
-    hand = add_hand_model(plant, description, "hand")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(description.base_frame, hand))
-    thing = add_object(plant, object_name)
-    plant.Finalize()
-    return builder, plant, hand, thing
+def _seen(description: HandDescription, text: str = "{}"):
+    """That hand in the shipped scenario with a ball.
+
+    Returns the scene, its plant's context, and what looks at a port with the ball's centre at p_BO.
+    """
+    scenario, builder = load_scenario(text=text), DiagramBuilder()
+    scenario.object.name = "sphere"
+    scene = add_scene(builder, scenario, description, np.random.default_rng(0))
+    plant, thing = scene.plant, scene.object_body
+    inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
+    view = builder.AddSystem(SceneView(plant, description, scene.hand, thing.index(), inspector))
+    for port in ("body_poses", "contact_results"):
+        builder.Connect(plant.GetOutputPort(port), view.GetInputPort(port))
+    root = builder.Build().CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    base = plant.GetFrameByName(description.base_frame, scene.hand)
+
+    def look(port: str, p_BO) -> np.ndarray:
+        X_WO = RigidTransform(base.CalcPoseInWorld(context) @ np.asarray(p_BO))
+        plant.SetFloatingBaseBodyPoseInWorldFrame(context, thing, X_WO)
+        return view.GetOutputPort(port).Eval(view.GetMyContextFromRoot(root))
+
+    return scene, context, look
 
 
-def _view(builder, plant, description: HandDescription, hand, thing) -> SceneView:
-    """The view of hand and object."""
-    scene_graph = builder.GetSubsystemByName("scene_graph")
-    view = builder.AddSystem(
-        SceneView(plant, description, hand, thing.index(), scene_graph.model_inspector())
-    )
-    builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
-    builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
-    return view
+def _in_base(scene, description: HandDescription, context, link: str) -> RigidTransform:
+    base = scene.plant.GetFrameByName(description.base_frame, scene.hand)
+    return scene.plant.GetBodyByName(link, scene.hand).body_frame().CalcPose(context, base)
 
 
 def test_a_finger_has_all_links_that_its_motors_move(description):
     """Including followers; held links belong to the palm."""
     description.fingers[2].joints.remove("middle_j0")
-    _, plant, hand, _ = _plant(description)
+    scene, *_ = _seen(description)
+    plant, hand = scene.plant, scene.hand
     names = [[body.name() for body in links] for links in finger_links(plant, description, hand)]
     links = {"thumb": range(3), "index": range(4), "middle": range(1, 4)}
     assert names[:3] == [[f"{finger}_l{i}" for i in numbers] for finger, numbers in links.items()]
@@ -258,59 +258,38 @@ def test_a_finger_has_all_links_that_its_motors_move(description):
 @pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])
 def test_contact_on_a_follower_counts_for_its_finger(description, link):
     """An object that overlaps one link of the index is in contact with the index alone."""
-    builder, plant, hand, thing = _plant(description)
-    view = _view(builder, plant, description, hand, thing)
-    diagram = builder.Build()
-    root = diagram.CreateDefaultContext()
-    context = plant.GetMyMutableContextFromRoot(root)
+    scene, context, look = _seen(description)
     # Beside the middle of the link, on the thumb's side, where no other finger is.
-    middle = plant.GetBodyByName(link, hand).EvalPoseInWorld(context).translation() + [0, 0, 0.01]
-    plant.SetFloatingBaseBodyPoseInWorldFrame(
-        context, thing, RigidTransform(middle + np.array([0.0, 0.033, 0.0]))
-    )
-    contact = view.GetOutputPort("contact").Eval(view.GetMyContextFromRoot(root))
+    p_BL = _in_base(scene, description, context, link).translation()
+    contact = look("contact", p_BL + [0.0, 0.033, 0.01])
     assert contact[1] > 0.1
     assert contact[0] == contact[2] == 0.0
 
 
-def test_self_contact_equals_collisions_beyond_tips():
+def test_self_contact_equals_collisions_beyond_tips(allegro):
     """Links of the Allegro that touch count, two fingertips do not."""
-    model = HandModel("allegro_right")
-    builder, plant, hand, thing = _plant(model.description)
-    view = _view(builder, plant, model.description, hand, thing)
-    root = builder.Build().CreateDefaultContext()
-    context = plant.GetMyMutableContextFromRoot(root)
-    plant.SetFloatingBaseBodyPoseInWorldFrame(context, thing, RigidTransform([1.0, 0.0, 0.0]))
-    q = np.random.default_rng(0).uniform(model.lower, model.upper, (2000, len(model.lower)))
-    beyond, touching = model.collides_beyond_tips(q), model.collides(q)
+    scene, context, look = _seen(allegro.description)
+    q = np.random.default_rng(0).uniform(allegro.lower, allegro.upper, (2000, len(allegro.lower)))
+    beyond, touching = allegro.collides_beyond_tips(q), allegro.collides(q)
     tips_alone = touching & ~beyond
     assert min(beyond.sum(), (~touching).sum(), tips_alone.sum()) >= 3
     for row, expected in [*zip(q[:60], beyond[:60], strict=True), *((r, False) for r in q[tips_alone])]:
-        for name, angle in zip(model.joint_names, row, strict=True):
-            plant.GetJointByName(name, hand).set_angle(context, angle)
-        seen = view.GetOutputPort("self_contact").Eval(view.GetMyContextFromRoot(root))
-        assert seen.tolist() == [float(expected)]
+        for name, angle in zip(allegro.joint_names, row, strict=True):
+            scene.plant.GetJointByName(name, scene.hand).set_angle(context, angle)
+        assert look("self_contact", [1.0, 0.0, 0.0]).tolist() == [float(expected)]
 
 
 @pytest.mark.parametrize("modulus", [0.0, 2e5])
-def test_touch_is_felt_with_rigid_and_with_soft_fingertips(modulus):
+def test_touch_is_felt_with_rigid_and_with_soft_fingertips(modulus, allegro):
     """A ball 1 mm deep in one fingertip presses on it, by a point or by a surface."""
     text = f"{{plant_config: {{contact_model: hydroelastic_with_fallback}}, fingertip_modulus: {modulus}}}"
-    scenario = load_scenario(text=text)
-    scenario.object.name = "sphere"
-    builder, description = DiagramBuilder(), load_hand(scenario.hand)
-    scene = add_scene(builder, scenario, description, np.random.default_rng(0))
-    view = _view(builder, scene.plant, description, scene.hand, scene.object_body)
-    root = builder.Build().CreateDefaultContext()
-    context = scene.plant.GetMyMutableContextFromRoot(root)
-    index = description.fingers[1]
-    X_WL = scene.plant.GetBodyByName(index.tip_link, scene.hand).EvalPoseInWorld(context)
+    scene, context, look = _seen(allegro.description, text)
+    index = allegro.description.fingers[1]
     # In front of the finger pad; the ball's radius is 30 mm.
-    p_WO = X_WL @ (np.array(index.tip_point) + [index.tip_radius + 0.029, 0.0, 0.0])
-    scene.plant.SetFloatingBaseBodyPoseInWorldFrame(context, scene.object_body, RigidTransform(p_WO))
+    p_LO = np.array(index.tip_point) + [index.tip_radius + 0.029, 0.0, 0.0]
+    p_BO = _in_base(scene, allegro.description, context, index.tip_link) @ p_LO
+    contact = look("contact", p_BO)
     results = scene.plant.get_contact_results_output_port().Eval(context)
     assert (results.num_hydroelastic_contacts() > 0) == (modulus > 0)
-    seen = view.GetMyContextFromRoot(root)
-    contact = view.GetOutputPort("contact").Eval(seen)
     assert contact[1] > 0.05 and contact[[0, 2, 3]].max() == 0
-    assert view.GetOutputPort("self_contact").Eval(seen)[0] == 0
+    assert look("self_contact", p_BO)[0] == 0
