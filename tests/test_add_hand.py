@@ -194,21 +194,17 @@ def _swapped(description):
     first.tip_link, second.tip_link = second.tip_link, first.tip_link
 
 
-def _as_it_is(description):
-    pass
-
-
 # Changes to the text of a model and to its description, and what the checks find then.
 FAULTS = {
-    "degrees": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="0.01"'}, _as_it_is, "moves only from 0 to 1 deg"),
-    "turn": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="90"'}, _as_it_is, "more than a full turn"),
-    "bare": ({"<(/?)collision>": r"<\1drawn>"}, _as_it_is, "no collision geometry"),
-    "massless": ({"<inertial>.*?</inertial>": ""}, _as_it_is, "links without mass"),
-    "palm": ({'"0.02 0.066 0.08"': '"0.02 0.066 0.16"'}, _as_it_is, "touch in"),
+    "degrees": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="0.01"'}, None, "moves only from 0 to 1 deg"),
+    "turn": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="90"'}, None, "more than a full turn"),
+    "bare": ({"<(/?)collision>": r"<\1drawn>"}, None, "no collision geometry"),
+    "massless": ({"<inertial>.*?</inertial>": ""}, None, "links without mass"),
+    "palm": ({'"0.02 0.066 0.08"': '"0.02 0.066 0.16"'}, None, "touch in"),
     "side": ({}, _mirrored, "the thumb lies on the little finger's side of a left hand"),
     "tip": ({}, _far, "the tips of thumb and ring touch at 16 mm, but come no nearer than"),
     "order": ({}, _swapped, "the fingers index, middle, ring do not lie in this order"),
-    "none": ({}, _as_it_is, ""),
+    "none": ({}, None, ""),
 }
 
 
@@ -217,7 +213,8 @@ def test_faults_are_named(fault, tmp_path):
     """In a model that is described, changed, written and read; else nothing is found."""
     changes, change, finding = FAULTS[fault]
     description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes)).description
-    change(description)
+    if change:
+        change(description)
     write_description(description, tmp_path / "hand.yaml")
     found = "\n".join(examine(HandModel(tmp_path / "hand.yaml")))
     assert finding in found and bool(finding) == bool(found)

@@ -112,22 +112,9 @@ def _glb() -> bytes:
 
 def _dae() -> bytes:
     """In centimetres, with an up axis that does not count, below a node of twice the size."""
-    corners = " ".join(f"{x:g}" for x in 50.0 * BOX.triangles.ravel())
-    count = 3 * len(BOX.triangles)
-    numbers = " ".join(map(str, range(count)))
-    return f"""<?xml version="1.0"?>
-<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
-<asset><unit name="centimeter" meter="0.01"/><up_axis>Y_UP</up_axis></asset>
-<library_geometries><geometry id="g"><mesh>
-<source id="s"><float_array id="a" count="{3 * count}">{corners}</float_array><technique_common>
-<accessor source="#a" count="{count}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>
-<param name="Z" type="float"/></accessor></technique_common></source>
-<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
-<triangles count="{count // 3}"><input semantic="VERTEX" source="#v" offset="0"/><p>{numbers}</p></triangles>
-</mesh></geometry></library_geometries>
-<library_visual_scenes><visual_scene id="c"><node><scale>2 2 2</scale><instance_geometry url="#g"/></node>
-</visual_scene></library_visual_scenes>
-<scene><instance_visual_scene url="#c"/></scene></COLLADA>""".encode()
+    text = BOX.copy().apply_scale(50).export(file_type="dae").decode()
+    text = text.replace("<up_axis>", '<unit name="centimeter" meter="0.01"/><up_axis>')
+    return text.replace("<instance_geometry", "<scale>2 2 2</scale><instance_geometry").encode()
 
 
 MESHES = {
@@ -264,6 +251,7 @@ def tendon(coefficients: dict[str, float], settings: str = "", more: str = "") -
 OPPOSITE = {"a": -0.008, "b": 0.007}
 NARROW = 'range="-0.001 0.001"'
 MOTOR = '<actuator><position tendon="t"/></actuator>'
+OUTER_MOTOR = '<actuator><motor joint="b"/></actuator>'
 TIGHT = f'<default><default class="tight"><tendon {NARROW} limited="true"/></default></default>'
 FIXED_LENGTH = '<equality><tendon tendon1="t" polycoef="0.5 0 0 0 0"/></equality>'
 
@@ -271,34 +259,27 @@ FIXED_LENGTH = '<equality><tendon tendon1="t" polycoef="0.5 0 0 0 0"/></equality
 @pytest.mark.parametrize(
     ("model", "expected"),
     [
-        (tendon(OPPOSITE, 'range="0.013 0.015"'), ("b", "a", 8 / 7, 2.0, False)),
-        (tendon(OPPOSITE, 'class="tight"', TIGHT), ("b", "a", 8 / 7, 0.0, False)),
-        (tendon({"b": 1, "a": -1}, more=FIXED_LENGTH), ("b", "a", 1.0, 0.5, False)),
-        (tendon({"a": 2, "b": 1}, more=MOTOR), ("b", "a", 0.5, 0.0, True)),
-        (tendon(OPPOSITE, NARROW, '<actuator><motor joint="b"/></actuator>'), ("a", "b", 7 / 8, 0.0, False)),
+        (tendon(OPPOSITE, 'range="0.013 0.015"'), [("b", "a", 8 / 7, 2.0, False)]),
+        (tendon(OPPOSITE, 'class="tight"', TIGHT), [("b", "a", 8 / 7, 0.0, False)]),
+        (tendon({"b": 1, "a": -1}, more=FIXED_LENGTH), [("b", "a", 1.0, 0.5, False)]),
+        (tendon({"a": 2, "b": 1}, more=MOTOR), [("b", "a", 0.5, 0.0, True)]),
+        (tendon(OPPOSITE, NARROW, OUTER_MOTOR), [("a", "b", 7 / 8, 0.0, False)]),
+        (tendon(OPPOSITE, 'range="-0.01 0.01"'), []),
+        (tendon(OPPOSITE, NARROW, '<compiler autolimits="false"/>'), []),
+        (tendon({"a": 1, "b": 1, "c": 1}, NARROW), []),
+        (tendon({"a": 1, "b": 1}, more=MOTOR.replace("/><", '/><motor joint="b"/><')), []),
+        (tendon(OPPOSITE, more=FIXED_LENGTH.replace("/>", ' active="false"/>')), []),
     ],
-    ids=["range", "class", "equality", "motor", "outer leads"],
+    ids=["range", "class", "equality", "motor", "outer leads"]
+    + ["loose", "no limits", "three joints", "motors of both", "inactive"],
 )
 def test_a_tendon_couples_two_joints(model, expected):
-    """By its range, its class's, a fixed length, or one motor; a joint with a motor leads."""
-    (found,) = tendon_couplings(model)
-    assert (*dc.astuple(found.coupling), found.assumed) == pytest.approx(expected)
+    """By its range, its class's, a fixed length, or one motor; a joint with a motor leads.
 
-
-@pytest.mark.parametrize(
-    "model",
-    [
-        tendon(OPPOSITE, 'range="-0.01 0.01"'),
-        tendon(OPPOSITE, NARROW, '<compiler autolimits="false"/>'),
-        tendon({"a": 1, "b": 1, "c": 1}, NARROW),
-        tendon({"a": 1, "b": 1}, more=MOTOR.replace("/><", '/><motor joint="b"/><')),
-        tendon(OPPOSITE, more=FIXED_LENGTH.replace("/>", ' active="false"/>')),
-    ],
-    ids=["loose", "no limits", "three joints", "motors of both", "inactive"],
-)
-def test_other_tendons_couple_nothing(model):
-    """Loose or inactive ones, and those of joints with motors or of more than two joints."""
-    assert tendon_couplings(model) == []
+    Loose or inactive ones couple nothing, nor those of joints with motors or of more than two joints.
+    """
+    found = [(*dc.astuple(each.coupling), each.assumed) for each in tendon_couplings(model)]
+    assert found == [pytest.approx(each) for each in expected]
 
 
 def test_ignored_parts_are_named(tmp_path):

@@ -9,7 +9,6 @@ import torch
 from grasp_setup import allegro
 from system_bench import SystemBench
 
-from geort_drake import HandModel
 from geort_drake.errors import HandError, PolicyError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.systems.action_correction import ActionCorrection
@@ -21,18 +20,13 @@ CLEARANCE = 0.002
 
 
 @cache
-def clearance(distance: float = CLEARANCE) -> HandClearance:
-    return HandClearance(allegro(), distance)
+def clearance() -> HandClearance:
+    return HandClearance(allegro(), CLEARANCE)
 
 
 def plant_order() -> list[str]:
     """The joints by number, which is not the order of the description: the thumb comes last."""
     return sorted(allegro().joint_names, key=lambda name: int(name.split("_")[1]))
-
-
-def limits_of(hand: HandModel, joints: list[str], **limits) -> JointLimits:
-    rows = [hand.joint_names.index(name) for name in joints]
-    return JointLimits(hand.lower[rows], hand.upper[rows], **limits)
 
 
 def true_distances(q: np.ndarray) -> dict[frozenset, float]:
@@ -72,15 +66,21 @@ def test_gaps_are_lower_bounds_of_drakes_distances(rng):
 # -- the guard
 
 
-def test_the_guard_lets_fingertips_touch():
-    """A pinch of thumb and index is passed on, although the tips press on each other."""
+def guard() -> tuple[SelfCollisionGuard, np.ndarray]:
+    """A guard of the hand in the plant's order, and the rows of these joints in the description's order."""
     hand, joints = allegro(), plant_order()
     start = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    system = SelfCollisionGuard(hand, joints, start, limits_of(hand, joints))
+    rows = np.array([hand.joint_names.index(name) for name in joints])
+    limits = JointLimits(hand.lower[rows], hand.upper[rows])
+    return SelfCollisionGuard(hand, joints, start, limits), rows
+
+
+def test_the_guard_lets_fingertips_touch():
+    """A pinch of thumb and index is passed on, although the tips press on each other."""
+    system, rows = guard()
     q = pinching_position()
-    depth, *_, tips = hand.penetrations(q)[0]
+    depth, *_, tips = allegro().penetrations(q)[0]
     assert tips and depth > 0
-    rows = [hand.joint_names.index(name) for name in joints]
     np.testing.assert_array_equal(system.guarded(q[rows], q[rows]), q[rows])
 
 
@@ -98,46 +98,46 @@ def pinching_position() -> np.ndarray:
 
 def test_the_guard_walks_towards_a_command_and_stays_clear():
     """From update to update; its velocities are those of its positions."""
-    hand, joints = allegro(), plant_order()
-    limits = limits_of(hand, joints)
-    wanted = np.clip(np.full(16, 1.4), limits.lower, limits.upper)
-    start = dict(zip(hand.joint_names, hand.default_position, strict=True))
-    bench = SystemBench(SelfCollisionGuard(hand, joints, start, limits))
+    hand, (system, rows) = allegro(), guard()
+    start = before = hand.default_position[rows]
+    wanted = np.clip(np.full(16, 1.4), hand.lower[rows], hand.upper[rows])
+    bench = SystemBench(system)
     bench.fix(desired_state=[*wanted, *np.zeros(16)])
-    back = [joints.index(name) for name in hand.joint_names]
-    before = np.array([start[name] for name in joints])
     for step in range(60):
         bench.advance()
         q, v = np.split(bench.value("desired_state"), 2)
-        assert not clearance().near(q[back]).pairs
+        assert not clearance().near(q[np.argsort(rows)]).pairs
         if step:
             np.testing.assert_allclose(v, (q - before) / 0.01, atol=1e-9)
         before = q
     assert np.abs(q - wanted).max() > 0.05  # the fist is not clear
     # The joints slide along each other: fingers that only stopped would end at a distance of 0.25 rad.
     assert np.linalg.norm(q - wanted) < 0.2
-    assert np.abs(q - np.array([start[name] for name in joints])).max() > 0.5
+    assert np.abs(q - start).max() > 0.5
 
 
 # -- policies
 
 
-class Halfway(torch.nn.Module):
-    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-        return 0.5 * (hand_state[:, : target.shape[1]] + target)
+HALFWAY = "return 0.5 * (hand_state[:, :2] + target)"
+# Far outside the limits, and no number at all where the target is negative.
+WILD = "return torch.where(target < 0, torch.nan, 1e30 * torch.ones_like(target))"
+# Fails where the first joint is past 0.05 rad, as no trial call finds out.
+FAILING = """if bool(hand_state[0, 0] > 0.05):
+        raise ValueError("no such state")
+    return target"""
 
 
-class Wild(torch.nn.Module):
-    """Far outside the limits, and no number at all where the target is negative."""
+def torchscript(folder, body: str) -> str:
+    """Writes a policy whose call has that body."""
 
-    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-        return torch.where(target < 0, torch.nan, 1e30 * torch.ones_like(target))
+    class Policy(torch.jit.ScriptModule):
+        pass
 
-
-def torchscript(folder, module) -> str:
-    path = folder / "policy.pt"
-    torch.jit.script(module).save(str(path))
-    return str(path)
+    module, path = Policy(), str(folder / "policy.pt")
+    module.define(f"def forward(self, hand_state: Tensor, target: Tensor) -> Tensor:\n    {body}\n")
+    module.save(path)
+    return path
 
 
 def run_policy(policy, desired: np.ndarray, measured: np.ndarray) -> tuple[np.ndarray, list[str]]:
@@ -159,30 +159,20 @@ def run_policy(policy, desired: np.ndarray, measured: np.ndarray) -> tuple[np.nd
 
 def test_a_torchscript_policy_sees_hand_and_target(tmp_path):
     """Its output is commanded, within the limits of position, speed and acceleration."""
-    policy = load_policy(torchscript(tmp_path, Halfway()), 2)
+    policy = load_policy(torchscript(tmp_path, HALFWAY), 2)
     states, _ = run_policy(policy, np.tile([0.4, -0.2], (30, 1)), np.tile([0.2, 0.0], (30, 1)))
     np.testing.assert_allclose(states[-1], [0.3, -0.1, 0, 0], atol=1e-7)
-    states, _ = run_policy(
-        load_policy(torchscript(tmp_path, Wild()), 2), np.full((50, 2), 0.4), np.zeros((50, 2))
-    )
+    policy = load_policy(torchscript(tmp_path, WILD), 2)
+    states, _ = run_policy(policy, np.full((50, 2), 0.4), np.zeros((50, 2)))
     np.testing.assert_allclose(states[-1, :2], 1.0)
 
 
-class Failing(torch.nn.Module):
-    """Fails where the first joint is past 0.05 rad, as no trial call finds out."""
-
-    def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-        if bool(hand_state[0, 0] > 0.05):
-            raise ValueError("no such state")
-        return target
-
-
 @pytest.mark.parametrize(
-    ("module", "reason"), [(Failing(), "no such state"), (Wild(), "not finite")], ids=["raises", "not finite"]
+    ("body", "reason"), [(FAILING, "no such state"), (WILD, "not finite")], ids=["raises", "not finite"]
 )
-def test_a_policy_that_fails_while_it_runs_holds_the_joints(module, reason, tmp_path):
+def test_a_policy_that_fails_while_it_runs_holds_the_joints(body, reason, tmp_path):
     """They brake within the limits; the status says so, and one warning says why."""
-    policy = load_policy(torchscript(tmp_path, module), 2)
+    policy = load_policy(torchscript(tmp_path, body), 2)
     bad = (np.arange(90) >= 30) & (np.arange(90) < 60)
     desired = np.where(bad[:, None], [0.4, -0.4], [0.4, 0.4])
     measured = np.where(bad[:, None], [0.1, 0.0], [0.0, 0.0])
@@ -235,13 +225,8 @@ def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
     other.write_bytes(b"x")
     with pytest.raises(PolicyError, match=r"ends with one of \.pt, \.pts, \.onnx"):
         load_policy(other, 2)
-
-    class Wide(torch.nn.Module):
-        def forward(self, hand_state: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-            return hand_state
-
     with pytest.raises(PolicyError, match=r"must return \(1, 2\), it returns \(1, 4\)"):
-        load_policy(torchscript(tmp_path, Wide()), 2)
+        load_policy(torchscript(tmp_path, "return hand_state"), 2)
     onnx = tmp_path / "policy.onnx"
     onnx.write_bytes(IDENTITY_MODEL)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
