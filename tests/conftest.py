@@ -1,5 +1,6 @@
 """Fixtures shared by the tests: seeded generators, and real recordings where they are at hand."""
 
+import functools
 import shutil
 from pathlib import Path
 
@@ -62,25 +63,30 @@ def light_benchmark(play):
         yield
 
 
+def _lighten(patch: pytest.MonkeyPatch, cache: Path) -> None:
+    """Gives evaluations few samples, so that they are quick and mean little, and trainings another cache."""
+    from geort_drake.comparison import metrics
+
+    patch.setenv("XDG_CACHE_HOME", str(cache))
+    patch.setattr(metrics, "ROBOT_SAMPLES", 500)
+    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
+        patch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
+    patch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
+    patch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=10))
+
+
 @pytest.fixture
 def light_evaluation(tmp_path, monkeypatch):
-    """A cache of its own and an evaluation with few samples, where the plumbing is what is tested."""
-    from light_training import lighten
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    lighten(monkeypatch)
+    """An evaluation with few samples and a cache of its own, where the plumbing is what is tested."""
+    _lighten(monkeypatch, tmp_path / "cache")
 
 
 @pytest.fixture(scope="module")
 def light_desk(tmp_path_factory):
     """The same for a whole module, and its folder."""
-    from light_training import lighten
-
-    folder = tmp_path_factory.mktemp("desk")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        lighten(patch)
-        yield folder
+        _lighten(patch, tmp_path_factory.mktemp("cache"))
+        yield tmp_path_factory.mktemp("desk")
 
 
 # Models that several modules look at, loaded once; imported only where one is asked for.

@@ -1,12 +1,8 @@
-"""Short trainings and evaluations with few samples, for tests of what is around them."""
+"""Trainings of a few steps, for tests of what is around them."""
 
-import functools
 from pathlib import Path
 
-import pytest
-
 from geort_drake import Recording, train_checkpoint
-from geort_drake.comparison import metrics
 
 LIGHT = {
     "geort": {
@@ -20,15 +16,6 @@ LIGHT = {
     },
     "linear_offline": {"hidden": 8},
 }
-
-
-def lighten(patch: pytest.MonkeyPatch) -> None:
-    """Makes the metrics quick, and their values mean little."""
-    patch.setattr(metrics, "ROBOT_SAMPLES", 500)
-    for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
-        patch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
-    patch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    patch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=10))
 
 
 def train_lightly(

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_messages import joints_of
-from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RigidTransform
 
 from geort_drake import load_hand, load_scenario
@@ -24,6 +23,7 @@ from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.systems.port_values import vector_to_pose
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "geort_drake" / "live" / "web" / "static"
@@ -219,7 +219,7 @@ class PagePerson:
 
     def __init__(self, scene: dict, hand: str, thing: str, goal):
         names = scene["moving"]
-        self._base, self._X_LB = scene["hand_base"]["moving"], pose_of(scene["hand_base"]["pose"])
+        self._base, self._X_LB = scene["hand_base"]["moving"], vector_to_pose(scene["hand_base"]["pose"])
         self._object = names.index(f"{thing}::{thing}")
         self._tips = [(names.index(f"hand::{f.tip_link}"), f.tip_point) for f in load_hand(hand).fingers]
         self._tip_radii = np.array([f.tip_radius for f in load_hand(hand).fingers])
@@ -244,12 +244,12 @@ class PagePerson:
         for frame in frames:
             values = np.frombuffer(frame, "<f4").astype(float)
             poses = values[1 : 1 + 7 * self._bodies].reshape(-1, 7)
-            X_WB = pose_of(poses[self._base]) @ self._X_LB
+            X_WB = vector_to_pose(poses[self._base]) @ self._X_LB
             if self._state is None:
                 self._state = self._person.start(RigidTransform(X_WB.rotation(), np.zeros(3)))
             if engaged:
-                tips = [pose_of(poses[body]) @ np.array(point) for body, point in self._tips]
-                X_WO = pose_of(poses[self._object])
+                tips = [vector_to_pose(poses[body]) @ np.array(point) for body, point in self._tips]
+                X_WO = vector_to_pose(poses[self._object])
                 seen = Seen(np.array(tips), X_WB, X_WO, self._touching(np.array(tips), X_WO))
                 self._state = self._person.step(self._state, values[0], seen)
         p_HK = self._hand.keypoints(self._state.theta)
@@ -260,9 +260,3 @@ class PagePerson:
         """A force of 1 N, or none, at each fingertip as the picture shows it on the upright object or not."""
         across = np.linalg.norm((p_WF - X_WO.translation())[:, :2], axis=1)
         return np.where(across - self._radius - self._tip_radii < TOUCHING_M, 1.0, 0.0)
-
-
-def pose_of(values) -> RigidTransform:
-    """The pose of qw qx qy qz x y z."""
-    q = np.asarray(values[:4], dtype=float)
-    return RigidTransform(Quaternion(q / np.linalg.norm(q)), np.asarray(values[4:], dtype=float))

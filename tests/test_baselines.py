@@ -43,14 +43,6 @@ def walk(kinematics, frames: int = 60, seed: int = 0) -> np.ndarray:
     return reachable(kinematics, ends[0] + s * (ends[1] - ends[0]))
 
 
-def pinching(kinematics, distance: float) -> np.ndarray:
-    """Human fingertips whose thumb and first finger are `distance` apart, the others over 6 cm away."""
-    p = np.tile([0.05, 0.0, 0.10], (len(kinematics.finger_names), 1))
-    p[:, 1] -= 0.07 * np.arange(len(p))
-    p[1] = p[0] + [0.0, 0.0, distance]
-    return p
-
-
 def test_a_reachable_hand_is_reproduced(kinematics):
     """Held still, human tips that are the robot's over α put the robot's tips there."""
     q = interior(kinematics, 20, 10)
@@ -67,7 +59,10 @@ def test_a_reachable_hand_is_reproduced(kinematics):
 
 
 def test_a_projected_pinch_brings_the_tips_together(kinematics):
-    """With the thumb 25 mm from the index DexPilot closes the pinch, and vectors alone leave it open."""
+    """With the thumb 25 mm from the index DexPilot closes the pinch, and vectors alone leave it open.
+
+    Projection is on under 30 mm, off over 50 mm, and in between as it was.
+    """
     p_HF = reachable(kinematics, np.full((1, 16), 0.4))
     p_HF[0, 0] = p_HF[0, 1] + [0.0, 0.0, -0.025]
     tips = {}
@@ -77,14 +72,12 @@ def test_a_projected_pinch_brings_the_tips_together(kinematics):
     distance = {method: np.linalg.norm(p[0] - p[1]) for method, p in tips.items()}
     assert distance[DexPilotOnline] < 0.012
     assert distance[VectorOnline] > 0.030
-
-
-def test_projection_switches_with_hysteresis(kinematics):
-    """On under 30 mm, off over 50 mm, and in between as it was."""
-    online = DexPilotOnline(kinematics)
-    states = []
+    online, states = DexPilotOnline(kinematics), []
     for millimetres in (60, 40, 29, 40, 49, 51, 40, 31, 29):
-        online(pinching(kinematics, 0.001 * millimetres))
+        # The other fingers are over 6 cm away.
+        p = np.array([[0.05, -0.07 * finger, 0.10] for finger in range(4)])
+        p[1] = p[0] + [0.0, 0.0, 0.001 * millimetres]
+        online(p)
         states.append(bool(online._projected[0]))
     assert states == [False, False, True, True, True, False, False, False, True]
 

@@ -73,11 +73,11 @@ def test_training_finds_the_planted_map():
 
 def universal(seed: int) -> dict[str, np.ndarray]:
     """A small map of the Allegro hand for several people."""
-    hand = HandModel("allegro_right")
-    return train_universal(hand.kinematics(), collision_shapes(hand), CoupledConfig(steps=12), 6, seed).arrays
+    hand, config = HandModel("allegro_right"), CoupledConfig(steps=4)
+    return train_universal(hand.kinematics(), collision_shapes(hand), config, 4, seed).arrays
 
 
-@pytest.mark.parametrize("trained", [lambda seed: quick(seed, steps=25).network.arrays(), universal])
+@pytest.mark.parametrize("trained", [lambda seed: quick(seed, steps=10).network.arrays(), universal])
 def test_the_seed_alone_decides_the_weights(trained):
     """To the last bit, for one person and for all: global generators change nothing, other seeds do."""
     runs = []

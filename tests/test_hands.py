@@ -140,50 +140,40 @@ def test_kinematics_survive_offset_bases_welded_links_and_held_joints(allegro_co
 # -- the digest
 
 
-def _described(folder, model):
-    write_description(propose(model).description, folder / "hand.yaml")
-    return HandModel(folder / "hand.yaml")
+@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
+def test_the_digest_covers_meshes_and_included_files(kind, tmp_path):
+    """A collision mesh, a whole SDF model in another's file, and actuators in a file of their own in MJCF.
 
-
-def _palm_mesh(depth: float) -> str:
-    return trimesh.creation.box((depth, 0.04, 0.07)).export(file_type="obj")
-
-
-def test_the_digest_covers_collision_meshes(tmp_path):
-    """But neither unused files nor the folder."""
-    folder = tmp_path / "mine"
-    folder.mkdir()
-    model = write_hand(folder, HandSpec(3), changes={"<box .*?/>": '<mesh filename="palm.obj"/>'})
-    (folder / "palm.obj").write_text(_palm_mesh(0.03))
-    digest = _described(folder, model).digest
-    (folder / "other.obj").write_text(_palm_mesh(0.02))
-    shutil.copytree(folder, tmp_path / "elsewhere")
-    assert HandModel(tmp_path / "elsewhere" / "hand.yaml").digest == digest
-    (folder / "palm.obj").write_text(_palm_mesh(0.031))
-    assert HandModel(folder / "hand.yaml").digest != digest
-
-
-@pytest.mark.parametrize("kind", ["sdf", "xml"])
-def test_the_digest_covers_included_files(kind, tmp_path):
-    """A whole SDF model in another's file, and actuators in a file of their own in MJCF."""
-    (tmp_path / "parts").mkdir()
-    inner = write_hand(tmp_path / "parts", HandSpec(3, kind), "inner")
-    text = inner.read_text()
-    outer = tmp_path / f"hand.{kind}"
+    But neither unused files nor the folder.
+    """
+    folder, outer = tmp_path / "mine", tmp_path / "mine" / f"hand.{kind}"
+    parts = folder / "parts"
+    parts.mkdir(parents=True)
+    if kind == "urdf":
+        inner, change = parts / "palm.obj", ("0.0150", "0.0155")
+        inner.write_text(trimesh.creation.box((0.03, 0.04, 0.07)).export(file_type="obj"))
+        write_hand(folder, HandSpec(3), changes={"<box .*?/>": '<mesh filename="parts/palm.obj"/>'})
+    else:
+        inner = write_hand(parts, HandSpec(3, kind), "inner")
+        text = inner.read_text()
     if kind == "sdf":
         include = "<include merge='true'><uri>package://parts/inner.sdf</uri></include>"
         outer.write_text(f'<sdf version="1.11"><model name="outer">{include}</model></sdf>')
         change = ("<mass>0.03</mass>", "<mass>0.04</mass>")
-    else:
+    elif kind == "xml":
         begin = text.index("<actuator>")
         end = text.index("</actuator>") + len("</actuator>")
         inner.write_text(f"<mujoco>{text[begin:end]}</mujoco>")
         outer.write_text(text[:begin] + '<include file="parts/inner.xml"/>' + text[end:])
         change = ('kp="1"', 'kp="2"')
-    before = _described(tmp_path, outer).digest
-    assert HandModel(tmp_path / "hand.yaml").digest == before
+    write_description(propose(outer).description, folder / "hand.yaml")
+    digest = HandModel(folder / "hand.yaml").digest
+    (parts / "other.obj").write_text("o unused")
+    shutil.copytree(folder, tmp_path / "elsewhere")
+    assert HandModel(tmp_path / "elsewhere" / "hand.yaml").digest == digest
+    assert change[0] in inner.read_text()
     inner.write_text(inner.read_text().replace(*change))
-    assert HandModel(tmp_path / "hand.yaml").digest != before
+    assert HandModel(folder / "hand.yaml").digest != digest
 
 
 @pytest.mark.parametrize(

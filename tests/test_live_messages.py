@@ -1,19 +1,39 @@
-"""Messages between glove, loop and robot arrive as they were sent, and malformed ones are refused."""
+"""Messages between glove, loop and robot, their transports, and the whole loop in processes over loopback."""
 
+import contextlib
 import json
+import os
+import random
+import signal
 import struct
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 from drake import lcmt_allegro_command, lcmt_panda_command
+from faults.sound import checkpoint
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
+from pydrake.lcm import DrakeLcm
 
 from geort_drake import synthesize_play
 from geort_drake.errors import HandError, LiveError, MismatchError
-from geort_drake.live.devices import ALLEGRO, PANDA, JointGroup, JointStatus
+from geort_drake.live.devices import ALLEGRO, PANDA, JointGroup, JointStatus, LcmInbox
 from geort_drake.live.messages import MAX_BYTES, GloveFrame, decode, encode_frame
-from geort_drake.live.transports import LOCAL_LCM, heard_from_outside, is_local, split_address
+from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.transports import (
+    LOCAL_LCM,
+    heard_from_outside,
+    is_local,
+    open_receiver,
+    open_sender,
+    split_address,
+    wait_for,
+)
 
+# s; a busy machine takes long to start three programs. Without a fault nothing waits so long.
+PATIENCE_S = 300.0
 HAND = synthesize_play(3, duration_s=1.0, rate_hz=30.0).p_HK[20].astype(float)
 NODES = manus_glove(nodes_of(HAND))
 WORDS = manus_words("aa", nodes_of(HAND))
@@ -127,24 +147,6 @@ def test_a_malformed_message_is_refused(name):
 
 # -- robots
 
-DEVICES = pytest.mark.parametrize("device", [ALLEGRO, PANDA], ids=lambda device: device.name)
-
-
-def status_of(device) -> JointStatus:
-    n = len(device.joints)
-    return JointStatus(np.arange(n) / 7, -np.arange(n) / 3, np.arange(n) / 9)
-
-
-@DEVICES
-def test_commands_and_statuses_arrive_to_the_last_bit(device):
-    """In Drake's messages."""
-    sent = status_of(device)
-    command = device.decode_command(device.encode_command(1.0, sent.position))
-    np.testing.assert_array_equal(command, sent.position)
-    got = device.decode_status(device.encode_status(1.0, sent))
-    for name in ("position", "velocity", "commanded"):
-        np.testing.assert_array_equal(getattr(got, name), getattr(sent, name))
-
 
 def test_commands_have_the_fields_that_drivers_expect():
     """Of Drake's message types."""
@@ -159,11 +161,16 @@ def test_commands_have_the_fields_that_drivers_expect():
         PANDA.decode_command(command.encode())
 
 
-@DEVICES
-def test_malformed_messages_of_robots_are_refused(device):
-    """Cut off, of another size, not finite, or with a wrong length inside."""
+@pytest.mark.parametrize("device", [ALLEGRO, PANDA], ids=lambda device: device.name)
+def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refused(device):
+    """In Drake's messages; cut off, of another size, not finite, or with a wrong length inside."""
     n = len(device.joints)
-    status, command = device.encode_status(1.0, status_of(device)), device.encode_command(1.0, np.zeros(n))
+    sent = JointStatus(np.arange(n) / 7, -np.arange(n) / 3, np.arange(n) / 9)
+    status, command = device.encode_status(1.0, sent), device.encode_command(1.0, sent.position)
+    np.testing.assert_array_equal(device.decode_command(command), sent.position)
+    got = device.decode_status(status)
+    for name in ("position", "velocity", "commanded"):
+        np.testing.assert_array_equal(getattr(got, name), getattr(sent, name))
     sizes = struct.pack(">i", n)
     for decode_it, good in ((device.decode_status, status), (device.decode_command, command)):
         for bad in (
@@ -206,15 +213,14 @@ def test_a_malformed_address_is_refused(address):
         split_address(address, ("sub", "pull"))
 
 
-def test_addresses_open_to_the_network_are_recognised():
-    """The defaults stay on this machine."""
+def test_addresses_open_to_the_network_are_recognised(tmp_path):
+    """The defaults stay on this machine, unless their group is routed to a network.
+
+    The narrowest route counts, and of equal ones the one of the lowest metric.
+    """
     assert all(map(is_local, ("lcm", "lcm+udpm://239.1.1.1:7667?ttl=0", "pub+tcp://127.0.0.1:5556")))
     open_to_all = ("lcm+udpm://239.1.1.1:7667?ttl=1", "pub+tcp://*:1", "sub+tcp://10.0.0.1:1")
     assert not any(map(is_local, open_to_all))
-
-
-def test_an_lcm_group_that_is_routed_to_a_network_is_recognised(tmp_path):
-    """The narrowest route counts, and of equal ones the one of the lowest metric."""
     table = tmp_path / "route"
     head = "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
     default = "eth0\t00000000\t010200C0\t0003\t0\t0\t100\t00000000\t0\t0\t0\n"
@@ -223,8 +229,202 @@ def test_an_lcm_group_that_is_routed_to_a_network_is_recognised(tmp_path):
         (default, True),
         (default + ours.format("lo", 0), False),
         (ours.format("lo", 5) + default + ours.format("eth0", 0), True),
+        (ours.format("lo", 0) + ours.format("eth0", 5), False),
         ("", False),
     ):
         table.write_text(head + routes)
         assert heard_from_outside(LOCAL_LCM, table) == outside
     assert heard_from_outside(LOCAL_LCM, tmp_path / "none")
+
+
+@pytest.fixture
+def lcm_url():
+    """An LCM bus that no other test uses."""
+    url = f"udpm://239.255.76.67:{random.SystemRandom().randint(20_000, 30_000)}?ttl=0"
+    sender, receiver, heard = DrakeLcm(url), DrakeLcm(url), []
+    receiver.Subscribe("TRY", heard.append)
+    for _ in range(20):
+        sender.Publish("TRY", b"heard")
+        if receiver.HandleSubscriptions(100):
+            return url
+    pytest.skip("multicast does not reach this machine itself, so LCM has no loopback here")
+
+
+@pytest.mark.parametrize("pattern", ["pub", "push", "lcm"])
+def test_messages_pass_over_a_transport(pattern, request):
+    """On loopback; an address of ZeroMQ that is in use is refused."""
+    address = request.getfixturevalue("lcm_url") if pattern == "lcm" else "tcp://127.0.0.1:0"
+    sender = open_sender(f"{pattern}+{address}")
+    address = address if pattern == "lcm" else sender.endpoint
+    receiver = open_receiver(f"{pattern.replace('pub', 'sub').replace('push', 'pull')}+{address}")
+
+    def poll():
+        sender.send(b"a frame")
+        return receiver.drain() or None
+
+    try:
+        assert set(wait_for(poll, 20.0, lambda: "nothing came")) == {b"a frame"}
+        if pattern != "lcm":
+            with pytest.raises(LiveError, match="cannot listen there"):
+                open_sender(f"{pattern}+{address}")
+    finally:
+        receiver.close()
+        sender.close()
+
+
+# -- programs
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory):
+    """A folder with a recording and a checkpoint for the Allegro hand."""
+    folder = tmp_path_factory.mktemp("live")
+    synthesize_play(1, duration_s=20.0, rate_hz=60.0).save(folder / "hand.npz")
+    checkpoint(folder)
+    return folder
+
+
+@contextlib.contextmanager
+def program(folder: Path, name: str, *arguments: str, stdin: int = subprocess.DEVNULL):
+    """Runs a command in a process that is always ended afterwards."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "200"}
+    with open(folder / f"{name}.log", "w") as log, open(folder / f"{name}.json", "w") as out:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "geort_drake", name, *arguments],
+            stdin=stdin, stdout=out, stderr=log, env=environment
+        )  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.kill()
+            process.communicate()
+
+
+def wait_for_text(folder: Path, name: str, text: str) -> None:
+    """Waits until a program has printed a text."""
+
+    def poll():
+        return True if text in (folder / f"{name}.log").read_text() else None
+
+    wait_for(poll, PATIENCE_S, lambda: f"{name}: no '{text}' in: {(folder / f'{name}.log').read_text()}")
+
+
+@pytest.mark.slow
+def test_the_loop_runs_over_loopback(station, tmp_path, lcm_url):
+    """A robot follows a glove; the glove dies, the hand relaxes; Ctrl-C leaves the robot held."""
+    inbox = LcmInbox(
+        DrakeLcm(lcm_url), {device.status_channel: device.decode_status for device in (ALLEGRO, PANDA)}
+    )
+
+    def statuses(count: int) -> list[JointStatus]:
+        """The hand's next statuses."""
+
+        def poll():
+            inbox.newest.clear()
+            inbox.fetch()
+            return inbox.newest.get(ALLEGRO.status_channel)
+
+        inbox.fetch()
+        return [wait_for(poll, PATIENCE_S, lambda: "the robot fell silent") for _ in range(count)]
+
+    glove = f"ipc://{tmp_path}/glove"
+    with (
+        program(tmp_path, "stand-in-robot", "--lcm", f"lcm+{lcm_url}"),
+        program(
+            tmp_path, "publish", str(station / "hand.npz"), "--to", f"pub+{glove}", "--loop"
+        ) as publisher,
+        program(
+            tmp_path, "live", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
+            "--retargeter", str(station / "checkpoint"), "--engage", "now", "--relax-after", "0.5",
+            "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json"
+        ) as teleoperation
+    ):  # fmt: skip
+        wait_for_text(tmp_path, "live", "tracking")
+        first = statuses(1)[0].commanded
+
+        def moved() -> bool | None:
+            return np.abs(statuses(1)[0].commanded - first).max() > 0.1 or None
+
+        # A busy machine plays the glove slowly: wait for the motion, not for a number of messages.
+        wait_for(moved, PATIENCE_S, lambda: "the robot does not move")
+        publisher.kill()
+        wait_for_text(tmp_path, "live", "relaxing")
+        teleoperation.send_signal(signal.SIGINT)
+        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "live.log").read_text()
+        statuses(50)  # commands still on their way
+        held = statuses(100)
+
+    # The robot holds its last command to the last bit.
+    assert len({status.commanded.tobytes() for status in held}) == 1
+    assert np.isfinite([status.position for status in held]).all()
+    wait_for_text(tmp_path, "live", "disengaged: held")
+    report = json.loads((tmp_path / "live.json").read_text())
+    assert report["glove"]["received"] > 20
+    assert report["glove"]["refused"] == report["robot"]["refused"] == 0
+    command, echo = (report["latency_s"][name] for name in ("command", "echo"))
+    assert command["count"] >= echo["count"] > 10
+    assert 0 < command["median"] < echo["median"] <= echo["p99"]
+    print("latency, s:", report["latency_s"])
+
+
+@pytest.mark.slow
+def test_a_replay_drives_the_simulation(station, tmp_path):
+    """In one process; Enter engages and disengages, and the glove's data are recorded."""
+    with program(
+        tmp_path, "live", "--glove", str(station / "hand.npz"), "--retargeter", str(station / "checkpoint"),
+        "--record", str(tmp_path / "kept.npz"), "--json", stdin=subprocess.PIPE
+    ) as teleoperation:  # fmt: skip
+        # The first Enter is there before the loop begins, so only the second one disengages.
+        for state in ("tracking", "disengaged: held"):
+            os.write(teleoperation.stdin.fileno(), b"\n")
+            wait_for_text(tmp_path, "live", state)
+        teleoperation.terminate()
+        assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "live.log").read_text()
+    report = json.loads((tmp_path / "live.json").read_text())
+    assert report["states"]["disengaged: held"] > 0.4
+    with np.load(tmp_path / "kept.npz") as kept:
+        assert len(kept["t"]) >= 100 * report["duration"]
+
+
+def groups() -> tuple[JointGroup, JointGroup]:
+    """A hand whose joints are in another order than in messages, and an arm."""
+    return tuple(
+        JointGroup(name, list(joints), np.zeros(n), np.full(n, -1.0), np.full(n, 1.0))
+        for name, joints, n in (("hand", ALLEGRO.joints[::-1], 16), ("arm", PANDA.joints, 7))
+    )
+
+
+def send_statuses(url: str, hand_position: np.ndarray) -> None:
+    """Reports once where hand and arm are."""
+    lcm = DrakeLcm(url)
+    for device, q in ((ALLEGRO, hand_position), (PANDA, np.zeros(7))):
+        lcm.Publish(device.status_channel, device.encode_status(0.0, JointStatus(q, 0 * q, q)))
+
+
+def test_the_handshake_reports_where_the_robot_stands(lcm_url):
+    """In the model's order, within its limits; another robot or none is refused."""
+    q = np.linspace(-0.9, 1.05, 16)
+    link = RobotLink(lcm_url, *groups(), period=0.01)
+    with pytest.raises(LiveError, match="no robot: ALLEGRO_STATUS and PANDA_STATUS did not come"):
+        link.handshake(0.01)
+    send_statuses(lcm_url, q)
+    hand, arm = link.handshake(20.0)
+    np.testing.assert_array_equal(hand, np.minimum(q, 1.0)[::-1])
+    np.testing.assert_array_equal(arm, np.zeros(7))
+    another = RobotLink(lcm_url, *groups(), period=0.01)
+    send_statuses(lcm_url, 2 * q)
+    with pytest.raises(LiveError, match=r"joint_15 is at 2.100 rad, limits are \[-1.000, 1.000\]"):
+        another.handshake(20.0)
+
+
+def test_a_robot_that_falls_silent_is_not_driven_on(lcm_url):
+    """It may be elsewhere when it answers again."""
+    now = [5.0]
+    link = RobotLink(lcm_url, *groups(), period=0.01, clock=lambda: now[0])
+    send_statuses(lcm_url, np.zeros(16))
+    link.handshake(20.0)
+    now[0] += 0.4
+    link.require_alive(0.5)
+    now[0] += 0.2
+    with pytest.raises(LiveError, match=r"no ALLEGRO_STATUS for 0\.6 s"):
+        link.require_alive(0.5)
