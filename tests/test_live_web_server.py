@@ -19,9 +19,9 @@ import numpy as np
 import pytest
 import trimesh
 from faults.sound import checkpoint
+from grasp_setup import plans
 from live_messages import headset, hello
-from pydrake.common.value import AbstractValue
-from pydrake.geometry import Mesh
+from pydrake.geometry import Mesh, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
@@ -39,6 +39,9 @@ from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.serve import is_loopback
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
+from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner, targets
+from geort_drake.systems.port_values import pose_to_vector
 
 KEY = "a-secret"
 PATIENCE_S = 120.0  # a busy machine takes long to start a program
@@ -207,32 +210,48 @@ async def test_a_hundred_broken_connections_leave_the_server_serving():
 # -- the scene
 
 
-def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
-    scenario = load_scenario()
+def test_the_scene_holds_every_body_that_moves_and_frames_follow_it(monkeypatch):
+    """A target is its body once more, translucent: in the grip before the first cue, and then elsewhere."""
+    found = plans("tracking")
+    monkeypatch.setattr(TrackingPlanner, "plans", lambda _: found)
+    scenario = load_scenario(*find_task("tracking").scenario, "{task_settings: {ready_time: 0.05}}")
     description = load_hand(scenario.hand)
     robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
-    plant = robot.stage.scene.plant
-    scene = Scene(plant, robot.stage.scene.scene_graph.model_inspector(), description)
+    plant, target = robot.stage.scene.plant, robot.stage.target
+    inspector = robot.stage.scene.scene_graph.model_inspector()
+    scene = Scene(plant, inspector, description, parked=True, target=target.body)
     facts = json.loads(json.dumps(scene.description))
-    names = facts["moving"]
-    assert {"arm::panda_link7", "cylinder::cylinder"} <= {*names}
+    names, looks = facts["moving"], facts["geometries"]
     assert names[facts["hand_base"]["moving"]].startswith("hand::")
-    used = {geometry["moving"] for geometry in facts["geometries"]}
-    assert used == {None, *range(len(names))}
-    frames = []
-    points = np.arange(63.0).reshape(21, 3)
-    stream = PoseStream(scene, lambda: points, "left", frames.append)
-    simulator = Simulator(stream)
-    context = simulator.get_mutable_context()
-    poses = [RigidTransform([i, 0, 0]) for i in range(plant.num_bodies())]
-    stream.GetInputPort("body_poses").FixValue(context, AbstractValue.Make(poses))
-    simulator.Initialize()
-    frame = np.frombuffer(frames[0], "<f4")
-    assert len(frame) == 1 + 7 * len(names) + 63
-    body = plant.GetBodyByName("cylinder").index()
-    assert frame[1 + 7 * names.index("cylinder::cylinder") + 4] == int(body)
+    assert {look["moving"] for look in looks} == {*range(len(names))}
+    puck, again = (
+        [look for look in looks if look["moving"] == names.index(name)] for name in ("puck::puck", "target")
+    )
+    assert [look["size"] for look in again] == [look["size"] for look in puck]
+    assert {look["color"][3] for look in again} == {0.35}
+    builder, frames, points = DiagramBuilder(), [], np.arange(63.0).reshape(21, 3)
+    builder.AddNamedSystem("robot", robot.diagram)
+    stream = builder.AddSystem(PoseStream(scene, lambda: points, "left", frames.append))
+    for name in ("body_poses", "target_pose"):
+        builder.Connect(robot.diagram.GetOutputPort(name), stream.GetInputPort(name))
+    simulator = Simulator(builder.Build())
+    root = simulator.get_mutable_context()
+    robot.stage.scene.initialize(root)
+    for group in (robot.hand, robot.arm):
+        port = robot.diagram.GetInputPort(f"{group.name}_desired_state")
+        held = np.concatenate([group.start, np.zeros_like(group.start)])
+        port.FixValue(robot.diagram.GetMyMutableContextFromRoot(root), held)
+    X_WG = plant.GetDefaultFloatingBaseBodyPose(target.body)
+    link = plant.GetBodyByName("link_15").EvalPoseInWorld(plant.GetMyContextFromRoot(root))
+    simulator.AdvanceTo(0.1)
+    first, last = (np.frombuffer(frames[number], "<f4") for number in (0, -1))
+    assert len(first) == 1 + 7 * len(names) + 63
+    for name, X in (("hand::link_15", link), ("puck::puck", X_WG), ("target", X_WG)):
+        begin = 1 + 7 * names.index(name)
+        np.testing.assert_allclose(first[begin : begin + 7], pose_to_vector(X), atol=1e-6)
+    assert min(np.abs(last[-70:-63] - pose_to_vector(X_WG @ X_GT)).max() for X_GT in targets()) < 1e-6
     # A left hand is no longer its mirror image.
-    np.testing.assert_array_equal(frame[-63:].reshape(21, 3), points * [1, -1, 1])
+    np.testing.assert_array_equal(first[-63:].reshape(21, 3), points * [1, -1, 1])
 
 
 def test_a_mesh_is_served_as_triangles_in_drakes_axes(tmp_path):
@@ -245,8 +264,11 @@ def test_a_mesh_is_served_as_triangles_in_drakes_axes(tmp_path):
     body = plant.GetBodyByName("link_0", hand)
     box = Mesh(str(tmp_path / "box.obj"), 0.1)
     plant.RegisterVisualGeometry(body, RigidTransform(), box, "box", np.ones(4))
+    plant.RegisterVisualGeometry(plant.world_body(), RigidTransform(), Sphere(0.1), "sun", np.ones(4))
     plant.Finalize()
     scene = Scene(plant, graph.model_inspector(), description)
+    used = {geometry["moving"] for geometry in scene.description["geometries"]}
+    assert used == {None, *range(len(scene.moving))}  # also what does not move
     shape = next(g for g in scene.description["geometries"] if g["shape"] == "mesh")
     assert shape["url"] == "/mesh/0"
     triangles = np.frombuffer(scene.meshes[0], "<f4").reshape(-1, 3, 3)

@@ -11,12 +11,9 @@ from grasp_setup import allegro, attempt, outcome_of, plans
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake import load_scenario
 from geort_drake.errors import ScenarioError, UnknownNameError
-from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.web.scene import PoseStream, Scene
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.operators.config import OperatorConfig
@@ -239,42 +236,6 @@ def test_time_and_difficulty_of_a_target():
     assert outcome.completion_time == pytest.approx(0.5 + sum(outcome.times), abs=0.03)
     np.testing.assert_allclose(later.times, outcome.times, atol=1e-9)
     assert later.completion_time == pytest.approx(2.0 + outcome.completion_time)
-
-
-def test_the_page_draws_the_puck_a_second_time_at_its_target(monkeypatch):
-    """Translucent; in the grip before the first cue, and then elsewhere."""
-    found = plans("tracking")
-    monkeypatch.setattr(TrackingPlanner, "plans", lambda _: found)
-    scenario = load_scenario(*find_task("tracking").scenario, "{task_settings: {ready_time: 0.05}}")
-    description = allegro().description
-    robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
-    plant, target = robot.stage.scene.plant, robot.stage.target
-    graph = robot.stage.scene.scene_graph
-    scene = Scene(plant, graph.model_inspector(), description, parked=True, target=target.body)
-    names = scene.description["moving"]
-    looks = {
-        name: [look for look in scene.description["geometries"] if look["moving"] == names.index(name)]
-        for name in ("puck::puck", "target")
-    }
-    assert [look["size"] for look in looks["target"]] == [look["size"] for look in looks["puck::puck"]]
-    assert {look["color"][3] for look in looks["target"]} == {0.35}
-    builder = DiagramBuilder()
-    builder.AddNamedSystem("robot", robot.diagram)
-    frames = []
-    stream = builder.AddSystem(PoseStream(scene, lambda: None, "right", frames.append))
-    for name in ("body_poses", "target_pose"):
-        builder.Connect(robot.diagram.GetOutputPort(name), stream.GetInputPort(name))
-    for group in (robot.hand, robot.arm):
-        held = np.concatenate([group.start, np.zeros_like(group.start)])
-        port = robot.diagram.GetInputPort(f"{group.name}_desired_state")
-        builder.Connect(builder.AddSystem(ConstantVectorSource(held)).get_output_port(), port)
-    simulator = Simulator(builder.Build())
-    robot.stage.scene.initialize(simulator.get_mutable_context())
-    simulator.AdvanceTo(0.1)
-    before, after = (np.frombuffer(frames[number], "<f4")[1:-63].reshape(-1, 7)[-1] for number in (0, -1))
-    X_WG = plant.GetDefaultFloatingBaseBodyPose(target.body)
-    np.testing.assert_allclose(before, pose_to_vector(X_WG), atol=1e-6)
-    assert min(np.abs(after - pose_to_vector(X_WG @ X_GT)).max() for X_GT in targets()) < 1e-6
 
 
 def test_a_handle_that_moves_and_a_dropped_puck_end_the_trial():
