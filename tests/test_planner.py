@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from grasp_setup import allegro, scenario_with
 from hand_family import HandSpec, write_hand
+from model_scene import Scene
 from pydrake.geometry import QueryObject, Role
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -17,6 +18,7 @@ from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.resources import object_names
 from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.scenario import object_file
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     contact_heights,
@@ -34,23 +36,18 @@ from geort_drake.simulation.world import HAND, add_object, add_robot
 TIP_RADIUS = 0.012
 
 
-class ObjectAlone:
+class ObjectAlone(Scene):
     """One object with its frame O at the world's origin."""
 
     def __init__(self, name: str):
-        builder = DiagramBuilder()
-        plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-        body = add_object(plant, name)
-        plant.WeldFrames(plant.world_frame(), body.body_frame())
-        plant.Finalize()
-        self.shape = object_shape(plant, scene_graph.model_inspector(), body)
-        self._diagram = builder.Build()  # keeps what the query refers to
-        self._root = self._diagram.CreateDefaultContext()
-        self._query = query_of(plant, self._root)
+        super().__init__(object_file(name), welded=(name,))
+        body = self.plant.GetBodyByName(name)
+        self.shape = object_shape(self.plant, self.scene_graph.model_inspector(), body)
 
     def distance(self, p_O: np.ndarray) -> float:
         """Signed distance of a point from the object, m."""
-        return min(near.distance for near in self._query.ComputeSignedDistanceToPoint(p_O))
+        near = query_of(self.plant, self.root).ComputeSignedDistanceToPoint(p_O)
+        return min(found.distance for found in near)
 
 
 def query_of(plant: MultibodyPlant, root) -> QueryObject:
