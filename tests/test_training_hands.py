@@ -56,27 +56,32 @@ def test_the_stored_metrics_are_those_of_the_stored_weights(checkpoint, allegro,
             assert stored[key] == value
 
 
-@pytest.mark.usefixtures("light_evaluation")
-def test_the_command_passes_on_presets_and_settings(play, tmp_path, capsys):
+@pytest.fixture
+def train(light_evaluation, play, tmp_path):
+    """Runs the command with a few steps; returns its exit code and the checkpoint, in tmp_path/`name`."""
+
+    def run(name, *more, recording=play):
+        recording.save(tmp_path / "play.npz")
+        common = ["--recording", str(tmp_path / "play.npz"), "--output", str(tmp_path / name)]
+        code = run_command("train", [*common, "--robot-samples", "2000", "--steps", "3", *more])
+        return code, load_checkpoint(tmp_path / name)
+
+    return run
+
+
+def test_the_command_passes_on_presets_and_settings(train, tmp_path, capsys):
     """--set and --steps take precedence over --preset; --json prints the stored metrics."""
-    play.save(tmp_path / "play.npz")
-    common = ["--recording", str(tmp_path / "play.npz"), "--robot-samples", "2000", "--quiet", "--steps", "3"]
-
-    def trained(name, *more) -> dict:
-        assert run_command("train", [*common, "--output", str(tmp_path / name), *more]) == 0
-        return load_checkpoint(tmp_path / name).config["training"]
-
     quick = [f"--set={name}=5" for name in ("kinematics_steps", "classifier_steps", "points", "targets")]
-    more = ["--set", "pinch_weight=0.5", "--json"]
-    public = trained("public", "--method=geort", "--preset", "public", *quick, *more)
+    more = ["--set", "pinch_weight=0.5", "--json", "--quiet"]
+    code, public = train("public", "--method=geort", "--preset", "public", *quick, *more)
     expected = {"resampling": "independent", "fk": "neural", "length_unit": 1.0, "pinch_weight": 0.5}
-    assert public.items() >= (expected | {"steps": 3}).items()
+    assert code == 0 and public.config["training"].items() >= (expected | {"steps": 3}).items()
     assert json.loads(capsys.readouterr().out) == json.loads((tmp_path / "public/metrics.json").read_text())
-    assert trained("coupled", "--set", "collision=0.002")["collision"] == 0.002
+    code, coupled = train("coupled", "--set", "collision=0.002")
+    assert code == 0 and coupled.config["training"]["collision"] == 0.002
 
 
-@pytest.mark.usefixtures("light_evaluation")
-def test_shortcomings_of_the_recording_are_in_the_report(play, tmp_path, capsys):
+def test_shortcomings_of_the_recording_are_in_the_report(train, play, capsys):
     """A finger that never pinches and one that hardly bends are named in checkpoint and report."""
     p_HK = play.p_HK.astype(float)
     index = slice(5, 9)
@@ -84,10 +89,9 @@ def test_shortcomings_of_the_recording_are_in_the_report(play, tmp_path, capsys)
     distance = np.linalg.norm(p_HK[:, [8, 12, 16]] - p_HK[:, [4]], axis=-1)
     keep = distance[:, 0] > 0.02
     narrow = Recording(play.t[keep], p_HK[keep], play.valid[keep], None, {**play.metadata})
-    narrow.save(tmp_path / "narrow.npz")
-    arguments = ["--recording", str(tmp_path / "narrow.npz"), "--output", str(tmp_path / "run")]
-    assert run_command("train", [*arguments, "--steps=2", "--robot-samples=2000"]) == 0
-    found = load_checkpoint(tmp_path / "run").provenance["warnings"]
+    code, checkpoint = train("run", recording=narrow)
+    assert code == 0
+    found = checkpoint.provenance["warnings"]
     motions = [text.split(":")[0] for text in found if text.startswith("narrow motion, ")]
     assert motions == ["narrow motion, index bends", "narrow motion, index moves sideways"]
     assert any("no pinch of the thumb with: index" in text for text in found)
@@ -96,15 +100,11 @@ def test_shortcomings_of_the_recording_are_in_the_report(play, tmp_path, capsys)
         assert f"warning: {text}" in shown
 
 
-@pytest.mark.usefixtures("light_evaluation")
-def test_a_diverging_training_leaves_a_usable_checkpoint(play, tmp_path, capsys, allegro):
+def test_a_diverging_training_leaves_a_usable_checkpoint(train, play, tmp_path, capsys, allegro):
     """An absurd learning rate ends with exit code 1, a warning, and the last good weights."""
-    play.save(tmp_path / "play.npz")
-    arguments = ["--recording", str(tmp_path / "play.npz"), "--output", str(tmp_path / "run"), "--quiet"]
-    arguments += ["--steps", "40", "--robot-samples", "2000", "--set", "learning_rate=1e30"]
-    assert run_command("train", arguments) == 1
+    code, checkpoint = train("run", "--quiet", "--steps", "40", "--set", "learning_rate=1e30")
+    assert code == 1
     assert "warning: the loss stopped being finite at step" in " ".join(capsys.readouterr().err.split())
-    checkpoint = load_checkpoint(tmp_path / "run")
     assert checkpoint.provenance["training"]["stopped_at"] < 40
     assert np.isfinite(load_retargeter(tmp_path / "run", allegro)(play.p_HK[:50])).all()
     assert (tmp_path / "run" / "metrics.json").is_file()
