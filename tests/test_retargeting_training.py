@@ -53,7 +53,7 @@ def test_the_weight_of_a_criterion_lowers_its_loss():
     for criterion, weight in (("flatness", 100.0), ("pinch", 20.0), ("collision", 2.0)):
         having = quick(**{**base, f"{criterion}_weight": weight})
         assert final(having, criterion) < 0.7 * final(covering, criterion), criterion
-    free, covering = (quick(**{**base, "coverage_weight": weight}) for weight in (0.0, 50.0))
+    free = quick(**{**base, "coverage_weight": 0.0})
     assert final(covering, "coverage") < 0.7 * final(free, "coverage")
 
 
