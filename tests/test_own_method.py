@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_setup import TOO_SHORT, allegro, human_with
+from grasp_setup import TOO_SHORT, allegro, person_who_plays, reach_goal
 from light_training import train_lightly
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
@@ -71,8 +71,7 @@ FAULTS = {
 def test_a_fault_during_a_trial_is_counted_and_the_trial_goes_on(tmp_path, line, fault):
     """The joints hold, or stay at their limits; the summary counts the answers."""
     method = own(tmp_path, f"if len(calls) > 3: {line}")
-    text = dump_scenario(load_scenario(text=TOO_SHORT))
-    human = human_with()
+    text, human = dump_scenario(load_scenario(text=TOO_SHORT)), (person_who_plays(), reach_goal())
     record = trials.simulate(trials.Trial(TrialKey("mine.py", "cylinder", 0), text, method, 0.05, human))
     assert record["outcome"].startswith("timeout") and list(record["faults"]) == [fault]
     assert figures([record, record], 25.0)["faults"] == {fault: 2 * record["faults"][fault]}

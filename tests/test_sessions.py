@@ -6,7 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, planned_goal, resting_glove, scenario_with
+from grasp_setup import allegro, reach_goal, resting_glove, scenario_with
 from trial_records import error, trial
 
 from geort_drake import Recording
@@ -172,7 +172,7 @@ def test_a_folder_without_sessions_or_facts_is_refused(tmp_path):
 
 
 def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benchmark, monkeypatch):
-    monkeypatch.setattr(trial_runner, "plan", lambda *_: [planned_goal("cylinder")])
+    monkeypatch.setattr(trial_runner, "plan", lambda *_: [reach_goal()])
     save(tmp_path / "study", "p1", 1)
     options = ["--methods", "hold", "--objects", "cylinder", "--trials", "1", "--zero-latency", "--jobs", "1"]
     options += ["--output", str(tmp_path / "run"), "--scenario-text", "{timeout: 2.0}"]

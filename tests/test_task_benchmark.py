@@ -3,7 +3,7 @@
 import json
 
 import yaml
-from grasp_setup import TOO_SHORT, planned_goal, plans
+from grasp_setup import TOO_SHORT, plans, reach_goal
 
 from geort_drake.cli import main
 from geort_drake.resources import models_dir
@@ -13,8 +13,7 @@ from geort_drake.simulation.tasks.keys.planner import KeysPlanner
 
 def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark, monkeypatch):
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
-    goal = planned_goal("cylinder")  # no trial lasts long enough to follow it
-    monkeypatch.setattr(GraspPlanner, "plans", lambda _: [goal])
+    monkeypatch.setattr(GraspPlanner, "plans", lambda _: [reach_goal()])
     found = plans("keys")
     monkeypatch.setattr(KeysPlanner, "plans", lambda _: found)
     command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
