@@ -1,7 +1,6 @@
 """Every shipped hand on the arm, left hands as mirror images, and hands on a floating or a fixed base."""
 
 import dataclasses as dc
-from functools import cache
 
 import numpy as np
 import pytest
@@ -23,31 +22,23 @@ from geort_drake.systems.port_values import pose_to_vector
 M = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
-@cache
-def robot(hand: str):
-    """The shipped scenario's robot with another hand: diagram, plant, its context, and the hand base."""
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
-    description = load_hand(hand)
-    add_robot(plant, load_scenario(text=f"{{hand: {hand}}}"), description)
-    plant.Finalize()
-    diagram = builder.Build()
-    base = plant.GetFrameByName(description.base_frame, plant.GetModelInstanceByName(HAND))
-    return diagram, plant, plant.GetMyContextFromRoot(diagram.CreateDefaultContext()), base
-
-
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_a_hand_sits_on_the_adapter_and_touches_nothing(name):
     """The mount's frame lies on the adapter's hand side; arm and hand start without contact."""
-    _, plant, context, base = robot(name)
+    builder, description = DiagramBuilder(), load_hand(name)
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
+    add_robot(plant, load_scenario(hand=name), description)
+    plant.Finalize()
+    diagram, hand = builder.Build(), plant.GetModelInstanceByName(HAND)
+    root = diagram.CreateDefaultContext()
+    context = plant.GetMyContextFromRoot(root)
     assert not plant.get_geometry_query_input_port().Eval(context).HasCollisions()
-    mount = load_hand(name).mount
-    M_frame = plant.GetFrameByName(mount.frame, plant.GetModelInstanceByName(HAND))
-    X_AM = M_frame.CalcPose(context, plant.GetFrameByName("hand_side"))
+    mount = description.mount
+    X_AM = plant.GetFrameByName(mount.frame, hand).CalcPose(context, plant.GetFrameByName("hand_side"))
     wanted = RigidTransform(RollPitchYaw(np.deg2rad(mount.rpy_deg)), mount.translation)
     np.testing.assert_allclose(X_AM.GetAsMatrix4(), wanted.GetAsMatrix4(), atol=1e-12)
     # The palm looks at the object, from before it.
-    X_WB = base.CalcPoseInWorld(context)
+    X_WB = plant.GetFrameByName(description.base_frame, hand).CalcPoseInWorld(context)
     to_object = np.array([0.5, 0.0, 0.2]) - X_WB.translation()
     assert X_WB.rotation().matrix()[:, 0] @ to_object > 0.05
 
@@ -78,13 +69,13 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
         scenario = load_scenario(text=f"{{hand: {name}, object: {{{still}}}}}")
         parts = make_trial_diagram(scenario, centred_map(), (person_who_plays(), aim))
         simulator = started(parts)
-        simulator.AdvanceTo(1.0)
         root = simulator.get_context()
         context = parts.plant.GetMyContextFromRoot(root)
         hand = parts.plant.GetModelInstanceByName(HAND)
         base = parts.plant.GetFrameByName(parts.description.base_frame, hand)
-        _, _, at_start, base_at_start = robot(name)
-        poses.append((base_at_start.CalcPoseInWorld(at_start), base.CalcPoseInWorld(context)))
+        before = base.CalcPoseInWorld(context)
+        simulator.AdvanceTo(1.0)
+        poses.append((before, base.CalcPoseInWorld(context)))
         angles.append([parts.plant.GetJointByName(j, hand).get_angle(context) for j in allegro().joint_names])
         glove = parts.operator.GetOutputPort("keypoints")
         gloves.append(glove.Eval(parts.operator.GetMyContextFromRoot(root)))

@@ -96,14 +96,12 @@ def test_worsened_maps_mix_or_turn_the_motion_of_fingers():
     rest, moved = np.zeros((4, 3)), np.zeros((4, 3))
     moved[1] = 0.01, 0.0, 0.0  # the index finger, out of the palm
 
-    class Echo:
-        joint_names = ()
+    def echo(p_HF):
+        return p_HF
 
-        def __call__(self, p_HF):
-            return p_HF
-
-    mixed = gates.WorsenedMap(Echo(), rest, range(4), gates.MIXED, 0.5, 0)(moved)
+    echo.joint_names = ()
+    mixed = gates.WorsenedMap(echo, rest, range(4), gates.MIXED, 0.5, 0)(moved)
     np.testing.assert_allclose(mixed, [[0, 0, 0], moved[1], 0.25 * moved[1], 0.25 * moved[1]])
-    turned = gates.WorsenedMap(Echo(), rest, range(4), gates.TURNED, 60.0, 0)(moved)
+    turned = gates.WorsenedMap(echo, rest, range(4), gates.TURNED, 60.0, 0)(moved)
     assert turned[1, 0] == pytest.approx(0.005) and np.linalg.norm(turned[1]) == pytest.approx(0.01)
     np.testing.assert_allclose(turned[[0, 2, 3]], 0.0)

@@ -1,9 +1,8 @@
 """Scenarios: what loads, what is refused, and the plant of one with its object, friction and gravity."""
 
-import itertools
-
 import numpy as np
 import pytest
+import trimesh
 import yaml
 from grasp_setup import scenario_with
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Role, Sphere
@@ -160,20 +159,14 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
     assert nominal.plant.is_gravity_enabled(nominal.object_body.model_instance())
 
 
-_DIRECTIONS = np.random.default_rng(0).normal(size=(100_000, 3))
-_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
-_ANGLE = np.linspace(0, 2 * np.pi, 3601)
-_RIM = 0.02 * np.column_stack([np.cos(_ANGLE), np.sin(_ANGLE), 0 * _ANGLE])
+BALL = trimesh.creation.icosphere(subdivisions=7, radius=1.0).vertices
 # Each shape, and points of its surface among which the lowest one is, to a micrometre or so.
 SHAPES = {
-    "box": (
-        Box(0.1, 0.2, 0.3),
-        0.5 * np.array(list(itertools.product((-0.1, 0.1), (-0.2, 0.2), (-0.3, 0.3)))),
-    ),
-    "sphere": (Sphere(0.03), 0.03 * _DIRECTIONS),
-    "ellipsoid": (Ellipsoid(0.03, 0.05, 0.01), [0.03, 0.05, 0.01] * _DIRECTIONS),
-    "cylinder": (Cylinder(0.02, 0.1), np.concatenate([_RIM + [0, 0, 0.05], _RIM - [0, 0, 0.05]])),
-    "capsule": (Capsule(0.02, 0.1), np.concatenate([0.02 * _DIRECTIONS + [0, 0, z] for z in (-0.05, 0.05)])),
+    "box": (Box(0.1, 0.2, 0.3), trimesh.creation.box((0.1, 0.2, 0.3)).vertices),
+    "sphere": (Sphere(0.03), 0.03 * BALL),
+    "ellipsoid": (Ellipsoid(0.03, 0.05, 0.01), [0.03, 0.05, 0.01] * BALL),
+    "cylinder": (Cylinder(0.02, 0.1), trimesh.creation.cylinder(0.02, 0.1, sections=3600).vertices),
+    "capsule": (Capsule(0.02, 0.1), np.concatenate([0.02 * BALL + [0, 0, z] for z in (-0.05, 0.05)])),
 }
 
 
