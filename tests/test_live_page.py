@@ -389,9 +389,8 @@ def test_panel_and_keys(browser, stub, address):
     page.focus("#reset")
     page.keyboard.press(" ")  # disengages, although a button has the focus
     until(page, lambda: len(stub.of("disengage")) == 1)
-    assert stub.of("reset") == [
-        {"type": "reset", **choice} for choice in ({}, {"object": "sphere"}, {"task": "keys"})
-    ]
+    choices = {}, {"object": "sphere"}, {"task": "keys"}
+    assert stub.of("reset") == [{"type": "reset", **choice} for choice in choices]
 
     assert page.is_disabled("#record")
     page.check("#keep")

@@ -209,9 +209,8 @@ def test_the_worst_is_the_lowest_or_the_highest():
         return mean([]) | changes
 
     pinches = [{**mean([])["pinch"], "closed": share, "mean_mm": 12.0} for share in (0.9, None, 0.7)]
-    several = [
-        figures(cross_talk=talk, pinch=pinch) for talk, pinch in zip((0.1, 0.3, 0.2), pinches, strict=True)
-    ]
+    pairs = zip((0.1, 0.3, 0.2), pinches, strict=True)
+    several = [figures(cross_talk=talk, pinch=pinch) for talk, pinch in pairs]
     assert worst(several)["cross_talk"] == 0.3
     assert worst(several)["pinch"]["closed"] == 0.7
     assert worst(several)["pinch"]["mean_mm"] is None

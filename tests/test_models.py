@@ -140,10 +140,8 @@ def test_links_of_the_left_allegro_are_those_of_the_right_one_mirrored(allegro, 
         left = allegro_left.plant.GetBodyByName(right.name())
         assert left.default_mass() == right.default_mass()
         np.testing.assert_allclose(left.default_com(), mirror @ right.default_com(), atol=1e-9)
-        inertia, expected = (
-            body.default_spatial_inertia().CalcRotationalInertia().CopyToFullMatrix3()
-            for body in (left, right)
-        )
+        inertias = (body.default_spatial_inertia().CalcRotationalInertia() for body in (left, right))
+        inertia, expected = (of_body.CopyToFullMatrix3() for of_body in inertias)
         np.testing.assert_allclose(inertia, mirror @ expected @ mirror, rtol=1e-9, atol=1e-15)
 
 

@@ -70,9 +70,8 @@ def test_every_shape_of_drake_is_drawn_or_named(tmp_path):
     (tmp_path / "tetrahedron.obj").write_text(OBJ)
     file = str(tmp_path / "tetrahedron.obj")
     world = World()
-    body = world.plant.AddRigidBody(
-        "many", world.ball.model_instance(), SpatialInertia.SolidSphereWithMass(1.0, 0.1)
-    )
+    inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)
+    body = world.plant.AddRigidBody("many", world.ball.model_instance(), inertia)
     X_BG = RigidTransform([0, 0, 2.0])
     plain = Box(1, 2, 3), Sphere(1), Ellipsoid(1, 2, 3), Cylinder(1, 2), Capsule(1, 2)
     for shape in (*plain, Mesh(file, 0.1), Convex(file, 0.2), MeshcatCone(1, 1, 1)):
@@ -202,10 +201,8 @@ def test_an_obj_file_has_the_colours_and_textures_of_its_materials(tmp_path):
         0x336699FF: 3, 0xFF330080: 6, "texture": 3,
     }  # fmt: skip
     turned = 2.0 * CORNERS.astype(float)
-    same_points(
-        np.concatenate(list(parts.values())).astype(float),
-        np.stack([1 - turned[:, 1], turned[:, 0], turned[:, 2]], -1),
-    )
+    found = np.concatenate(list(parts.values())).astype(float)
+    same_points(found, np.stack([1 - turned[:, 1], turned[:, 0], turned[:, 2]], -1))
 
 
 def test_a_damaged_file_is_drawn_as_its_hull_or_left_out(tmp_path):
@@ -251,9 +248,8 @@ def test_states_are_written_where_they_change(tmp_path):
     """Codes become names; a code without a name shows as a number."""
     world = World().finalize()
     port = steps(world.builder, [0, 0.1, 0.2, 0.3, 1], [[0, 0, 1, 7, 7]])
-    world.record(
-        tmp_path / "p.rrd", specs={"phase": StateSpec(port, ["reach", "grasp"])}, period=0.05, until=0.4
-    )
+    phase = StateSpec(port, ["reach", "grasp"])
+    world.record(tmp_path / "p.rrd", specs={"phase": phase}, period=0.05, until=0.4)
     times, states = read(world.recorder.path, "/phase", "StateChange:state")
     np.testing.assert_allclose(times, [0, 0.2, 0.3], atol=1e-9)
     assert [state[0] for state in states] == ["reach", "grasp", "code 7"]
@@ -376,9 +372,8 @@ def test_cameras_give_images_and_poses(tmp_path):
         body_pose_in_world_output_port=lambda: stand,
         default_color_render_camera=lambda: camera,
     )
-    world.record(
-        tmp_path / "camera.rrd", specs={"eye": CameraSpec(sensor, period=0.1)}, period=0.05, until=0.4
-    )
+    eye = CameraSpec(sensor, period=0.1)
+    world.record(tmp_path / "camera.rrd", specs={"eye": eye}, period=0.05, until=0.4)
     times, seen = read(world.recorder.path, "/world/eye", "EncodedImage:blob")
     np.testing.assert_allclose(times, np.arange(5) * 0.1, atol=1e-9)
     assert pictures.taken == 5

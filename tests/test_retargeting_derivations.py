@@ -43,9 +43,8 @@ def test_the_direction_gradient_turns_and_never_stretches():
     cosine = (u * v).sum(-1, keepdim=True)
     torch.testing.assert_close(g, -(u - cosine * v) / delta.norm(dim=-1, keepdim=True))
     assert (g * delta).sum(-1).abs().max() < 1e-12
-    torch.testing.assert_close(
-        g.norm(dim=-1), torch.sqrt(1 - cosine[:, 0] ** 2) / delta.norm(dim=-1), atol=1e-9, rtol=1e-9
-    )
+    size = torch.sqrt(1 - cosine[:, 0] ** 2) / delta.norm(dim=-1)
+    torch.testing.assert_close(g.norm(dim=-1), size, atol=1e-9, rtol=1e-9)
 
 
 def test_the_floor_bounds_the_direction_gradient_where_nothing_moves():

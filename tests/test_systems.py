@@ -232,11 +232,8 @@ def test_monitor_measures_the_slip_of_the_last_lift():
     heights, touched = [0.0, 0.02, 0.05, 0.06], [[1, 1]] * 4
     assert run_monitor(heights, touched).slip == pytest.approx(0, abs=1e-12)
     assert run_monitor(heights, touched, hand_heights=[0, 0.02, 0.06, 0.064]).slip == pytest.approx(0.01)
-    again = run_monitor(
-        [*heights, 0.0, 0.02, 0.05],
-        [*touched, [0, 0], [1, 1], [1, 1]],
-        hand_heights=[0, 0.02, 0.09] + [0] * 4,
-    )
+    more, touched_again = [*heights, 0.0, 0.02, 0.05], [*touched, [0, 0], [1, 1], [1, 1]]
+    again = run_monitor(more, touched_again, hand_heights=[0, 0.02, 0.09] + [0] * 4)
     assert again.slip == pytest.approx(0.03)
     assert np.isnan(run_monitor([0.0, 0.0], [[1, 1]] * 2).slip)
 

@@ -84,9 +84,8 @@ def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(
         (system, system.get_input_port(port).get_name()): source
         for (system, port), source in parts.diagram.connection_map().items()
     }
-    operator, view, monitor = (
-        parts.diagram.GetSubsystemByName(name) for name in ("operator", "scene_view", judge)
-    )
+    systems = ("operator", "scene_view", judge)
+    operator, view, monitor = map(parts.diagram.GetSubsystemByName, systems)
     read = {name: source for (system, name), source in sources.items() if system is operator}
     assert set(read) == mirrored | unmirrored
 

@@ -247,9 +247,8 @@ def test_dropouts_have_their_rate_and_their_duration():
 
 def test_the_object_is_lifted_with_every_fault_at_once():
     """A person corrects what they see."""
-    text = (
-        "{glove: {misalignment: 0.1, shift: 0.005, turn: 0.05, dropout_rate: 1.0}, monitor: {hold_time: 0.5}}"
-    )
+    faults = "{misalignment: 0.1, shift: 0.005, turn: 0.05, dropout_rate: 1.0}"
+    text = f"{{glove: {faults}, monitor: {{hold_time: 0.5}}}}"
     human = human_with(clearance=np.inf)
     result, glove = run_trial(scenario_with("cylinder", text), centred_map(), human)
     assert result.success and not glove.valid.all()
