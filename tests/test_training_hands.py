@@ -148,40 +148,33 @@ def test_a_tenth_of_the_training_already_serves_the_real_recording(alex_npy, tmp
     assert figures["cross_talk"] <= 0.08
 
 
-@pytest.fixture
-def trained(light_evaluation, monkeypatch):
-    """A list that grows with every training; trainings are short."""
-    runs = []
+@pytest.mark.usefixtures("light_evaluation")
+def test_equal_requests_share_a_checkpoint_and_its_warnings(play, monkeypatch):
+    """Other settings, another method or other code do not.
+
+    A checkpoint whose training stopped early is not handed out silently the second time.
+    """
+    trainings = []
 
     def train(hand, recording, path, method, seed, device, settings):
-        runs.append(method)
+        trainings.append(method)
         return train_lightly(hand, recording, path, method, seed, **settings)
-
-    monkeypatch.setattr(comparison_train, "train_checkpoint", train)
-    return runs
-
-
-def test_equal_requests_share_a_checkpoint(trained, play, monkeypatch):
-    """Other settings, another method or other code do not."""
 
     def cached(method="linear_offline", **settings):
         return cached_checkpoint("allegro_right", play, method, settings=settings)
 
+    monkeypatch.setattr(comparison_train, "train_checkpoint", train)
     paths = [cached(points=16), cached(points=16), cached(points=24), cached("geort", pinch_weight=0.5)]
     monkeypatch.setattr(comparison_train, "source_digest", lambda *subpackages: "other")
     paths.append(cached(points=16))
     assert paths[0] == paths[1]
-    assert len(set(paths)) == len(trained) == 4
-    with pytest.raises(UnknownNameError, match="setting of linear_offline 'speed'"):
-        cached(speed=1)
-
-
-def test_warnings_of_the_training_are_repeated(trained, play):
-    """A checkpoint whose training stopped early is not handed out silently the second time."""
+    assert len(set(paths)) == len(trainings) == 4
     for _ in range(2):
         with pytest.warns(RuntimeWarning, match="stopped being finite"):
-            cached_checkpoint("allegro_right", play, "linear_offline", settings={"learning_rate": 1e30})
-    assert len(trained) == 1
+            cached(learning_rate=1e30)
+    assert len(trainings) == 5
+    with pytest.raises(UnknownNameError, match="setting of linear_offline 'speed'"):
+        cached(speed=1)
 
 
 def test_the_key_survives_what_tests_and_calls_leave_behind(monkeypatch):
