@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from grasp_setup import reach_goal
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from geort_drake import synthesize_play
@@ -17,12 +18,10 @@ from geort_drake.simulation.operators.intention import IntentionConfig
 from geort_drake.simulation.operators.perception import FreePlay, Seen
 from geort_drake.simulation.operators.placing import PlacingPerson
 from geort_drake.simulation.operators.state import Phase
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 QUIET = dict.fromkeys(
     ("visual_noise", "visual_depth_noise", "visual_turn_noise", "contact_noise", "motor_noise"), 0.0
 )
-ROBOT_FINGERS = ("thumb", "index", "middle", "ring")
 # Fingers bend their last joint by two thirds of the one before; the thumb bends both alike.
 COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
 
@@ -46,18 +45,16 @@ class StandInWorld:
         bent = theta + 0.01 * np.tile([0.0, 1.0, 0.0, 0.0], 5)
         inwards = self.hand.fingertips(bent)[:4] - rest
         inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
-        X_BO = RigidTransform(centre)
-        touches = np.array([True, True, True, False])
-        self.goal = GraspGoal(
-            finger_names=ROBOT_FINGERS,
-            touches=touches,
-            X_OB=X_BO.inverse(),
-            X_OB_before=X_BO.inverse() @ RigidTransform([-0.08, 0, 0]),
-            clearance=0.012,
-            p_BF_open=rest - 0.02 * np.where(touches[:, None], inwards, 0.0),
+        X_OB = RigidTransform(-centre)
+        usual = reach_goal()  # of thumb, index and middle fingers
+        n_OF = np.where(usual.touches[:, None], inwards, 0.0)
+        self.goal = dc.replace(
+            usual,
+            X_OB=X_OB,
+            X_OB_before=X_OB @ RigidTransform([-0.08, 0, 0]),
+            p_BF_open=rest - 0.02 * n_OF,
             p_OF_touch=rest + 0.02 * inwards - centre,
-            n_OF=np.where(touches[:, None], inwards, 0.0),
-            yaw_symmetry=0.0,
+            n_OF=n_OF,
         )
         self.X_WO = RigidTransform([0.5, 0.02, 0.15])
         self.X_WB_start = RigidTransform([0.3, 0.1, 0.2])
