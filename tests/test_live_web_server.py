@@ -77,9 +77,6 @@ def asynchronous(test):
     return functools.wraps(test)(lambda *given, **named: asyncio.run(test(*given, **named)))
 
 
-# -- pages and gates
-
-
 @asynchronous
 async def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_path):
     (tmp_path / "index.html").write_text("a page")
@@ -207,9 +204,6 @@ async def test_a_hundred_broken_connections_leave_the_server_serving():
         wait_for(lambda: station.spectators == 0 or None, PATIENCE_S, lambda: "they still look on")
 
 
-# -- the scene
-
-
 def test_the_scene_holds_every_body_that_moves_and_frames_follow_it(monkeypatch):
     """A target is its body once more, translucent: in the grip before the first cue, and then elsewhere."""
     found = plans("tracking")
@@ -290,9 +284,6 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
     link = moved.GetBodyByName("panda_link7")
     X_WB = moved.EvalBodyPoseInWorld(moved.CreateDefaultContext(), link)
     np.testing.assert_allclose(poses[link.index()].GetAsMatrix34(), X_WB.GetAsMatrix34(), atol=1e-9)
-
-
-# -- whole sessions
 
 
 @pytest.mark.slow

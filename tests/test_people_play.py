@@ -132,8 +132,6 @@ def test_a_hand_that_cannot_pinch_plays_without_pinches():
     assert (made["speed_p95"][1:] > 100).all()
 
 
-# -- the population
-
 # What of the real recordings lies outside the population: human_alex's ring finger measures 62 mm, the
 # population's 66 to 131 mm.
 OUTSIDE = {"GeoRT": {"ring length"}, "MANUS": set()}

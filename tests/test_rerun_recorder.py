@@ -72,9 +72,6 @@ def test_a_screenshot_is_a_picture_or_a_reason(tmp_path, monkeypatch):
         assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-# -- when the file is written, and that it is whole or absent
-
-
 def test_properties_keep_their_types_from_one_recording_to_the_next(tmp_path):
     """Rerun remembers the first type of a name; that must not leak between recordings."""
     for number, seed in enumerate((3, "three", 3.5, True)):
@@ -157,9 +154,6 @@ def test_going_back_in_time_starts_over_from_there(tmp_path):
     np.testing.assert_allclose(times, np.arange(4) / 16, atol=1e-9)
 
 
-# -- live viewers
-
-
 def free_port():
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
@@ -222,31 +216,27 @@ def test_without_a_file_samples_are_dropped_once_sent(tmp_path, at_once):
     np.testing.assert_allclose(times, np.arange(11) * 0.02, atol=1e-9)
 
 
-def test_a_server_and_a_file_at_once(tmp_path):
-    """The server listens while the simulation runs, and the file is whole after it."""
+def test_a_server_and_a_file_at_once_and_a_viewer_that_is_not_there(tmp_path, monkeypatch):
+    """The server listens while the simulation runs, and the file is whole after it.
+
+    A viewer that one forgets to start, or closes, costs the file nothing.
+    """
+    monkeypatch.setattr("geort_drake.rerun.writer.FLUSH_TIMEOUT", 0.1)
     port = free_port()
-    server = rr.GrpcServerSink("127.0.0.1", port)
-    world = World().finalize().record(tmp_path / "file.rrd", viewers=[server])
+    viewers = [rr.GrpcServerSink("127.0.0.1", port), viewer()]
+    world = World().finalize().record(tmp_path / "file.rrd", viewers=viewers)
     world.simulator.AdvanceTo(0.1)
 
     def connected():
-        with socket.socket() as viewer:
-            return viewer.connect_ex(("127.0.0.1", port)) == 0 or None
+        with socket.socket() as client:
+            return client.connect_ex(("127.0.0.1", port)) == 0 or None
 
     wait_for(connected, 60.0, lambda: "nobody listens")
-    world.recorder.close()
-    times, _ = read(tmp_path / "file.rrd", "/world/ball/body", "Transform3D:translation")
-    assert times[-1] == pytest.approx(0.1)
-
-
-def test_a_viewer_that_is_not_there_costs_the_file_nothing(tmp_path, monkeypatch):
-    """One forgets to start the viewer, or closes it."""
-    monkeypatch.setattr("geort_drake.rerun.writer.FLUSH_TIMEOUT", 0.1)
-    world = World().finalize().record(tmp_path / "file.rrd", viewers=[viewer()])
-    world.simulator.AdvanceTo(0.1)
     with pytest.warns(UserWarning, match="viewer did not receive all data"):
         world.recorder.close()
     assert rerun("rrd", "verify", tmp_path / "file.rrd").returncode == 0
+    times, _ = read(tmp_path / "file.rrd", "/world/ball/body", "Transform3D:translation")
+    assert times[-1] == pytest.approx(0.1)
 
 
 def test_a_forced_publish_takes_a_sample(tmp_path):
@@ -262,9 +252,6 @@ def test_a_forced_publish_takes_a_sample(tmp_path):
     times, turns = read(tmp_path / "forced.rrd", "/world/arm/upper", "Transform3D:quaternion")
     assert times == pytest.approx([0.0, 0.5])
     np.testing.assert_allclose(turns[-1][0], [0, np.sin(0.25), 0, np.cos(0.25)], atol=1e-6)
-
-
-# -- the default layout
 
 
 def views_of(part, page=""):

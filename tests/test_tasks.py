@@ -33,8 +33,6 @@ from geort_drake.simulation.tasks.trigger.planner import RADIUS as HANDLE_RADIUS
 from geort_drake.simulation.tasks.trigger.task import TriggerMonitor, TriggerOutcome, TriggerSettings
 from geort_drake.systems.port_values import pose_to_vector
 
-# -- keys
-
 
 def keys_outcome(travel: list[list[float]], **settings) -> KeysOutcome:
     """The judgement of keys' travel, (T, 3) m at 10 Hz from the first cue on, with cues of 1 s."""
@@ -92,9 +90,6 @@ def test_every_planned_key_is_reached_above_and_pressed():
             np.testing.assert_allclose(moved[goal.touches], expected[goal.touches], atol=2e-3)
 
 
-# -- the trigger
-
-
 def trigger_outcome(travel: list[float], moved: float = 0.0) -> TriggerOutcome:
     """The judgement of the pad's travel, m at 10 Hz from the first cue on; the handle moves within 1 s."""
     rules = TriggerSettings(pulls=2, hold_time=0.5, ready_time=0.5, settle_time=0.5)
@@ -137,8 +132,6 @@ def test_every_plan_holds_the_handle_between_palm_and_fingers():
         tips = hand.fingertips(plan.q_open)
         np.testing.assert_allclose(tips[goal.touches], goal.p_BF_open[goal.touches], atol=2e-3)
 
-
-# -- the cap
 
 UP_B = np.array([-1.0, 0.0, 0.0])  # of the bottle, for a hand base with the world's axes
 
@@ -189,8 +182,6 @@ def test_the_thread_rises_and_its_brake_holds_up_to_its_torque():
     assert turned > np.deg2rad(45) and rise == pytest.approx(0.004 * turned / (2 * np.pi), rel=1e-6)
     assert outcome.success and outcome.over and outcome.score == 1.0 and outcome.completion_time < 0.5
 
-
-# -- in-grasp tracking
 
 X_WG = RigidTransform(RotationMatrix.MakeYRotation(0.4), [0.5, 0.0, 0.3])
 CUED = (5, 6)  # 10 mm along the axis, and 20° about x
@@ -264,8 +255,6 @@ def test_every_plan_holds_the_puck_and_reaches_the_targets():
             assert q is not None and np.all((hand.lower < q) & (q < hand.upper))
 
 
-# -- pick and place
-
 X_WP = RigidTransform([0.5, 0.15, 0.01])
 
 
@@ -312,8 +301,6 @@ def test_a_left_hand_has_its_place_on_the_other_side():
 
 KEYS = "presses: 3, enough: 3, ready_time: 4.0, cue_time: 2.0"
 
-
-# -- all of them
 
 PLACES = {
     "keys": lambda goal: [goal.p_BK, goal.p_BF_open, goal.p_BF_pressed],
