@@ -41,11 +41,6 @@ def uneven_kinematics() -> HandKinematics:
     return HandKinematics(tuple(fingers), tuple(used), toy.lower[rows], toy.upper[rows], toy.tip_radius)
 
 
-def toy_samples(hand: HandKinematics, count: int = 4000, seed: int = 0) -> np.ndarray:
-    """(count, n) uniform joint samples."""
-    return np.random.default_rng(seed).uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
-
-
 def toy_collides(q: np.ndarray) -> np.ndarray:
     """The hand counts as colliding where its first joint is beyond 0.3 rad."""
     return q[:, 0] > 0.3
@@ -59,7 +54,7 @@ def toy_human(hand: HandKinematics, frames: int = 1500, seed: int = 1) -> np.nda
 
 def toy_data(hand: HandKinematics, human: np.ndarray | None = None, **changes) -> TrainingData:
     """Training data of that person and hand, labelled by `toy_collides`."""
-    q = toy_samples(hand)
+    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (4000, len(hand.joint_names)))
     given = {"labels": lambda: toy_collides(q), "collides": toy_collides} | changes
     return TrainingData(toy_human(hand) if human is None else human, hand, **{"q": q} | given)
 

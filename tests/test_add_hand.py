@@ -88,38 +88,31 @@ def test_fingers_are_known_by_usual_names(names):
     assert fingers_by_name([[names[0]], ["shift_j0"]]) is None
 
 
-@pytest.fixture(params=["urdf", "sdf", "xml"])
-def coupled(request, tmp_path) -> HandModel:
-    """A hand of four fingers, of which three have joints that follow, from each format."""
-    return HandModel(propose(write_hand(tmp_path, HandSpec(4, request.param))).description)
+@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
+def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_path, rng):
+    """Torch and NumPy agree with Drake on fingertips; NumPy's Jacobian is torch's.
 
-
-def test_all_kinematics_agree_on_followers(coupled, rng):
-    """Drake, torch and NumPy agree on fingertips; NumPy's Jacobian is torch's."""
+    Shapes lie where Drake has them; and the clearance's gradient is that of its gaps.
+    """
+    coupled = HandModel(propose(write_hand(tmp_path, HandSpec(4, kind))).description)
     q = rng.uniform(coupled.lower, coupled.upper, (40, len(coupled.joint_names)))
     p_BF = coupled.fingertips(q)
     kinematics = coupled.kinematics()
     np.testing.assert_allclose(kinematics.fingertips(torch.tensor(q)), p_BF, atol=1e-12)
-    plain = NumpyKinematics(kinematics)
-    found, J = plain.fingertips_and_jacobians(q)
+    found, J = NumpyKinematics(kinematics).fingertips_and_jacobians(q)
     np.testing.assert_allclose(found, p_BF, atol=1e-12)
     by_torch = torch.autograd.functional.jacobian(kinematics.fingertips, torch.tensor(q[0]))
     np.testing.assert_allclose(J[0], by_torch, atol=1e-12)
     mirrored = kinematics.mirrored().fingertips(torch.tensor(q))
     np.testing.assert_allclose(mirrored, p_BF * [1, -1, 1], atol=1e-12)
 
-
-def test_collision_shapes_lie_where_drake_has_them(coupled, rng):
-    """Also on followers; and the clearance's gradient is that of its gaps."""
-    shapes = collision_shapes(coupled)
-    gaps = CollisionGaps(coupled.kinematics(), shapes)
-    q = rng.uniform(coupled.lower, coupled.upper, (3, len(coupled.joint_names)))
-    _, p_BS = gaps.poses(torch.tensor(q, dtype=torch.float32))
+    gaps = CollisionGaps(kinematics, collision_shapes(coupled))
+    _, p_BS = gaps.poses(torch.tensor(q[:3], dtype=torch.float32))
     plant, inspector = coupled.plant, coupled.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
     names = [*coupled.joint_names, *coupled.couplings.names]
     ids = sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value())
-    for row, angles in enumerate(coupled.couplings.with_followers(q)):
+    for row, angles in enumerate(coupled.couplings.with_followers(q[:3])):
         for name, angle in zip(names, angles, strict=True):
             plant.GetJointByName(name).set_angle(context, angle)
         for number, geometry in enumerate(ids):
