@@ -42,15 +42,7 @@ FAMILY = [
 ]
 
 
-def _id(spec: HandSpec) -> str:
-    return f"{spec.fingers}-{spec.kind}-{spec.names}-{spec.side}"
-
-
-@pytest.fixture(params=FAMILY, ids=_id)
-def spec(request) -> HandSpec:
-    return request.param
-
-
+@pytest.mark.parametrize("spec", FAMILY, ids=lambda spec: f"{spec.fingers}-{spec.kind}-{spec.names}")
 def test_fingers_base_and_side_are_found(spec, tmp_path):
     """The proposal equals the specification; tips without geometry are guessed. The next command fits."""
     description = propose(write_hand(tmp_path, spec)).description

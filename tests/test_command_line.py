@@ -92,14 +92,7 @@ def test_facts_repeated_for_help_agree_with_their_modules():
 # -- outputs
 
 
-@pytest.fixture
-def loud():
-    """Restores the console after a test."""
-    yield
-    console.quiet = False
-
-
-def test_a_quiet_run_prints_warnings_alone(loud, capsys):
+def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
     """Neither progress nor words; with --json one object on stdout. The next run prints everything again."""
 
     def words():
@@ -109,6 +102,7 @@ def test_a_quiet_run_prints_warnings_alone(loud, capsys):
         warn("few frames [0]")
         return capsys.readouterr().err
 
+    monkeypatch.setattr(console, "quiet", False)  # as it is afterwards
     run_command("capture", ["--quiet"])
     assert words() == "warning: few frames [0]\n"
     run_command("capture", [])

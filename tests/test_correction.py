@@ -24,11 +24,6 @@ def clearance() -> HandClearance:
     return HandClearance(allegro(), CLEARANCE)
 
 
-def plant_order() -> list[str]:
-    """The joints by number, which is not the order of the description: the thumb comes last."""
-    return sorted(allegro().joint_names, key=lambda name: int(name.split("_")[1]))
-
-
 def true_distances(q: np.ndarray) -> dict[frozenset, float]:
     """Drake's distances under 10 mm between the pairs that the guard looks at, by pair of geometries."""
     hand, ours = allegro(), clearance()
@@ -68,7 +63,9 @@ def test_gaps_are_lower_bounds_of_drakes_distances(rng):
 
 def guard() -> tuple[SelfCollisionGuard, np.ndarray]:
     """A guard of the hand in the plant's order, and the rows of these joints in the description's order."""
-    hand, joints = allegro(), plant_order()
+    hand = allegro()
+    # By number, which is not the order of the description: the thumb comes last.
+    joints = sorted(hand.joint_names, key=lambda name: int(name.split("_")[1]))
     start = dict(zip(hand.joint_names, hand.default_position, strict=True))
     rows = np.array([hand.joint_names.index(name) for name in joints])
     limits = JointLimits(hand.lower[rows], hand.upper[rows])
@@ -77,23 +74,14 @@ def guard() -> tuple[SelfCollisionGuard, np.ndarray]:
 
 def test_the_guard_lets_fingertips_touch():
     """A pinch of thumb and index is passed on, although the tips press on each other."""
-    system, rows = guard()
-    q = pinching_position()
-    depth, *_, tips = allegro().penetrations(q)[0]
+    hand, rng, (system, rows) = allegro(), np.random.default_rng(5), guard()
+    q = hand.default_position
+    # Drawn until only the tips of thumb and index touch.
+    while np.linalg.norm(np.diff(hand.fingertips(q)[:2], axis=0)) >= 0.023 or clearance().near(q).pairs:
+        q[:8] = rng.uniform(hand.lower[:8], hand.upper[:8])
+    depth, *_, tips = hand.penetrations(q)[0]
     assert tips and depth > 0
     np.testing.assert_array_equal(system.guarded(q[rows], q[rows]), q[rows])
-
-
-@cache
-def pinching_position() -> np.ndarray:
-    """Joint positions, drawn until only the tips of thumb and index touch."""
-    hand, rng = allegro(), np.random.default_rng(5)
-    while True:
-        q = hand.default_position
-        q[:8] = rng.uniform(hand.lower[:8], hand.upper[:8])
-        p_BF = hand.fingertips(q)
-        if np.linalg.norm(p_BF[0] - p_BF[1]) < 0.023 and not clearance().near(q).pairs:
-            return q
 
 
 def test_the_guard_walks_towards_a_command_and_stays_clear():

@@ -160,19 +160,14 @@ def test_gaps_agree_with_drake(name):
 FINGERS = ("thumb", "index", "middle", "ring")
 
 
-@pytest.fixture(scope="module")
-def people():
+def test_a_perfect_map_violates_nothing():
+    """The robot's fingertips move as the person's, over a distance where touching tips overlap by the aim."""
     p_HK = sample_population(4, seed=0, duration_s=20.0)
     rng, generator = np.random.default_rng(0), torch.Generator().manual_seed(0)
     coded = code_people(p_HK, FINGERS, rng)
     p_HF = p_HK[:, :, [TIP_KEYPOINT[name] for name in FINGERS]]
-    pairs = pinch_pairs(FINGERS)
-    weights, cpu = [1] * 4, torch.device("cpu")
-    return TrainingPeople(p_HF, pairs, generator, rng, coded.codes, coded.reach, 0.005, weights, cpu)
-
-
-def test_a_perfect_map_violates_nothing(people):
-    """The robot's fingertips move as the person's, over a distance where touching tips overlap by the aim."""
+    pairs, cpu = pinch_pairs(FINGERS), torch.device("cpu")
+    people = TrainingPeople(p_HF, pairs, generator, rng, coded.codes, coded.reach, 0.005, [1] * 4, cpu)
     hands = people.draw(4)
     d = torch.nn.functional.one_hot(hands.finger, 4)[..., None] * hands.d[:, :, None]
     tips = RobotTips(hands.moved, hands.moved + d, hands.moved - d, hands.before, hands.after, hands.pinching)

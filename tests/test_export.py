@@ -19,10 +19,6 @@ from geort_drake.rerun import file_writer
 
 # Joints of each plot, and their places in `command`.
 SERIES = {"joints/thumb": {"j0": 0, "j1": 1}, "joints/index": {"j2": 2}, "arm": {"shoulder": 3, "elbow": 4}}
-COMMANDS = [
-    "joints.command.thumb.j0", "joints.command.thumb.j1", "joints.command.index.j2",
-    "arm.command.shoulder", "arm.command.elbow",
-]  # fmt: skip
 FRAMES = {"cube-0": 30, "cube-1": 20, "sphere-0": 10}
 PERIOD = 0.02
 SCENARIO = "Resolved:\n  hand: allegro_right\n  hand_parent: adapter::hand_side\n"
