@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from grasp_setup import centred_map, goals, person_who_plays, planned_goal
+from grasp_setup import centred_map, goals, person_who_plays, reach_goal
 from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake import load_scenario, make_trial_diagram
@@ -76,7 +76,7 @@ def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(
     task, mirrored, unmirrored, judge, hand
 ):
     """Of a left hand in the mirror. The view reads only the plant; cue and keys are shown by the judge."""
-    goal = planned_goal("cylinder") if task == "grasp" else goals(task)[0]
+    goal = reach_goal() if task == "grasp" else goals(task)[0]
     scenario = load_scenario(*find_task(task).scenario, hand=hand)
     given = person_who_plays(), goal if hand == "allegro_right" else goal.mirrored()
     parts = make_trial_diagram(scenario, centred_map(), given)
