@@ -133,9 +133,13 @@ def test_rerun_switched_off_writes_nothing_and_says_so(tmp_path, monkeypatch):
 
 def test_a_file_is_written_when_the_process_ends_without_close(tmp_path):
     """Also after an uncaught exception."""
-    program = "from rerun_world import World; import sys; world = World().finalize().record(sys.argv[1]); "
-    program += "world.simulator.AdvanceTo(0.1); sys.exit('no close')"
-    command, folder = [sys.executable, "-c", program, str(tmp_path / "exit.rrd")], Path(__file__).parent
+    code = f"""
+from rerun_world import World
+world = World().finalize().record({str(tmp_path / "exit.rrd")!r})
+world.simulator.AdvanceTo(0.1)
+raise SystemExit("no close")
+"""
+    command, folder = [sys.executable, "-c", code], Path(__file__).parent
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert "no close" in done.stderr
     times, _ = read(tmp_path / "exit.rrd", "/world/ball/body", "Transform3D:translation")
