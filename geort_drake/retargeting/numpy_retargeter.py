@@ -27,9 +27,11 @@ class Retargeter:
         human_keypoints: F keypoints that are the human fingertips.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
         trained_space: fingertip positions seen in training; None in checkpoints of version 0.1.
+        robot_hands: names of the robot hands for which the map was trained; empty if unknown.
     """
 
     trained_space: TrainedSpace | None = None
+    robot_hands: tuple[str, ...] = ()
     # Layer 1 of a residual network of all fingers (r, r); empty here.
     _residual_weight1 = np.zeros((0, 0))
     _one_hand: Callable[[np.ndarray], np.ndarray | None] | None = None

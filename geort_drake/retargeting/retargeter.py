@@ -80,6 +80,7 @@ def load_retargeter(
         np.array(checkpoint.hand["upper"]),
     )
     retargeter.trained_space = checkpoint.trained_space
+    retargeter.robot_hands = (checkpoint.hand["name"],)
     if backend == "numba":
         retargeter.compile()
     return retargeter
@@ -89,7 +90,7 @@ def _universal(path: Path, hand: TrainedHand | None, backend: str) -> UniversalR
     file = load_map(path)
     if hand is not None:
         file.check_hand(path, hand)
-    return UniversalRetargeter(
+    retargeter = UniversalRetargeter(
         file.arrays,
         file.finger_names,
         file.joint_names,
@@ -98,3 +99,5 @@ def _universal(path: Path, hand: TrainedHand | None, backend: str) -> UniversalR
         np.array(file.upper),
         backend,
     )
+    retargeter.robot_hands = tuple(file.hands)
+    return retargeter

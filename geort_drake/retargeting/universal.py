@@ -30,7 +30,10 @@ class UniversalRetargeter:
         lower, upper: (n,) joint limits, rad; outputs are always inside.
         average: the average person, the prior of the codes.
         backend: backend of the maps for one person; see `load_retargeter`.
+        robot_hands: as in `Retargeter`.
     """
+
+    robot_hands: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -203,6 +206,7 @@ class UniversalRetargeter:
             self.lower,
             self.upper,
         )
+        retargeter.robot_hands = self.robot_hands
         if self.backend == "numba":
             retargeter.compile()
         return retargeter

@@ -8,6 +8,7 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.planning import RobotDiagram, RobotDiagramBuilder
 from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
 
+from geort_drake.errors import HandError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.method import Retarget
@@ -110,9 +111,14 @@ def add_fingers(
         latency, checks: see `RetargetingSystem`.
 
     Raises:
-        HandError: the retargeter and the robot move different joints, or the guard cannot be used.
+        HandError: the retargeter was trained for another hand or moves other joints than the robot has, or
+            the guard cannot be used.
         PolicyError: the policy that corrects commands cannot be run.
     """
+    hands = getattr(retarget, "robot_hands", ())
+    if hands and description.name not in hands:
+        known = ", ".join(hands)
+        raise HandError(f"the retargeter is for {known}, not for the robot hand {description.name}")
     settings, chosen, joints = scenario.retargeting, scenario.correction, model.hand.joints
     at_start = dict(zip(joints, start.tolist(), strict=True))
     retargeting = builder.AddNamedSystem(
