@@ -312,7 +312,7 @@ PLACES = {
 @pytest.mark.parametrize("task", ["cap", "keys", "tracking", "trigger"])
 def test_no_trial_starts_in_contact(task, rng):
     """Not even the least comfortable place touches the hand in its default position."""
-    scenario, description = load_scenario(*find_task(task).scenario), allegro().description
+    scenario, description = load_scenario(task=task), allegro().description
     goal, builder = plans(task)[-1].goal, DiagramBuilder()
     X_WB = RobotModel(scenario, description).X_WB
     scene = find_task(task).add_stage(builder, scenario, description, goal, X_WB, rng).scene

@@ -169,7 +169,7 @@ def tasks_of(arguments: argparse.Namespace) -> dict[Path, "Scenario"]:
         if not kinds:
             warn(f"left out: {task.name}, which has people of the kinds {', '.join(task.kinds)} only")
         for kind in kinds:
-            scenario = load_scenario(*task.scenario, arguments.scenario_text, arguments.hand, task.name)
+            scenario = load_scenario(text=arguments.scenario_text, hand=arguments.hand, task=task.name)
             scenario.kind = kind
             check_scenario(scenario)
             scenarios[arguments.output / task.name / kind] = scenario

@@ -246,7 +246,6 @@ def _request(arguments: argparse.Namespace) -> "tuple[Scenario, Recording | None
     A session of another task uses that task's scenario, unless an option selects one.
     """
     from geort_drake import load_hand, load_scenario, read_recording
-    from geort_drake.simulation.tasks import find_task
 
     base = scenario_of(arguments)
     name, path = arguments.scenario_name, arguments.replay
@@ -259,7 +258,7 @@ def _request(arguments: argparse.Namespace) -> "tuple[Scenario, Recording | None
     replay = read_recording(path, arguments.side or load_hand(base.hand).side)
     task = replay.metadata.get("task", base.task)
     if task != base.task and arguments.scenario_file is None and name == DEFAULT_SCENARIO:
-        base = load_scenario(*find_task(task).scenario, arguments.scenario_text, arguments.hand, task)
+        base = load_scenario(text=arguments.scenario_text, hand=arguments.hand, task=task)
     if base.fixed_base:
         return base, dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
     if replay.X_WH is None:

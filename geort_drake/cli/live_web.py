@@ -106,7 +106,7 @@ def run_web(
 
 def _like(scenario: Scenario, task: Task) -> Scenario:
     """Returns the scenario of another task, with the same hand, retargeting, safety and seed."""
-    other = load_scenario(*task.scenario, None, scenario.hand, task.name)
+    other = load_scenario(hand=scenario.hand, task=task.name)
     for name in ("random_seed", "retargeting", "correction", "wrist_to_arm"):
         setattr(other, name, copy.deepcopy(getattr(scenario, name)))
     return other

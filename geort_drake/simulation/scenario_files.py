@@ -109,7 +109,7 @@ def _require(holds: bool, name: str, rule: str, value: object) -> None:
 
 def load_scenario(
     file: str | os.PathLike | None = None,
-    name: str = "Grasp",
+    name: str | None = None,
     text: str | None = None,
     hand: str | None = None,
     task: str | None = None,
@@ -119,19 +119,19 @@ def load_scenario(
     Mappings are merged and lists replaced, as in Drake's hardware_sim.
 
     Args:
-        file: YAML file; by default the package's.
-        name: name of the scenario in the file.
+        file: YAML file; by default the task's.
+        name: name of the scenario in the file; by default that of the task's scenario.
         text: YAML mapping of the fields to change, such as "{timeout: 30}".
         hand: name or file of a hand's description, instead of the scenario's.
-        task: name of a task, instead of the scenario's.
+        task: name of a task, instead of the scenario's; without one, the defaults are those of grasp.
 
     Raises:
         ScenarioError: the file is missing or malformed, or a field is unknown or wrong.
-        UnknownNameError: there is no scenario of that name.
-        UnknownNameError: see `check_scenario`.
+        UnknownNameError: there is no scenario of that name, or see `check_scenario`.
         PolicyError: the policy that corrects commands cannot be run.
     """
-    path = Path(file or find_task("grasp").scenario[0])
+    own = find_task(task or "grasp").scenario
+    path, name = Path(file or own[0]), name or own[1]
     if not path.is_file():
         raise ScenarioError(f"scenario file {path} does not exist")
     try:
