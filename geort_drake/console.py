@@ -138,6 +138,7 @@ def track(
     """
     with progress_bar() as display:
         update = display.counter(label)
+        update(0, total)
         for done, item in enumerate(items):
             update(done, total, note(item))
             yield item

@@ -44,6 +44,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code: 0 success, 1 partial success, 2 invalid input, 130 interrupted.
     """
+    try:
+        return _run(argv)
+    except KeyboardInterrupt:  # while modules are imported; later `exit_code_of` handles it
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+def _run(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     first = arguments[0] if arguments else "--help"
     if first in ("-h", "--help"):

@@ -74,11 +74,8 @@ class CommandParser(argparse.ArgumentParser):
         self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
     ) -> argparse.Namespace:
         # Shells leave a ~ behind an equals sign, as in --output=~/run.
-        home = re.compile(r"^(--[a-z-]+=)(~.*)")
-        words = [
-            home.sub(lambda found: found[1] + os.path.expanduser(found[2]), word)
-            for word in (sys.argv[1:] if args is None else args)
-        ]
+        parts = [word.partition("=") for word in (sys.argv[1:] if args is None else args)]
+        words = [name + equals + os.path.expanduser(value) for name, equals, value in parts]
         return self.parse_intermixed_args(words, namespace)
 
     def add_json(self, what: str) -> None:
