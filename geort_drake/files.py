@@ -112,8 +112,27 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def locked(folder: str | os.PathLike) -> Iterator[None]:
+def reserved(target: str | os.PathLike, size: int) -> Iterator[None]:
+    """Reserves disk space for `target` during a block, so that the results of long work can be written.
+
+    Args:
+        size: number of bytes.
+
+    Raises:
+        OutputError: the disk has less space, or the location is not writable.
+    """
+    folder = next(path for path in Path(target).absolute().parents if path.exists())
+    with writing(target), tempfile.TemporaryFile(dir=folder) as file:
+        os.posix_fallocate(file.fileno(), 0, size)
+        yield
+
+
+@contextlib.contextmanager
+def locked(folder: str | os.PathLike, wait: bool = False) -> Iterator[None]:
     """Creates a folder if needed, and locks it against other processes for the duration of a block.
+
+    Args:
+        wait: whether to wait while another process has locked the folder.
 
     Raises:
         OutputError: another process has locked the folder, or it cannot be created.
@@ -122,20 +141,20 @@ def locked(folder: str | os.PathLike) -> Iterator[None]:
         Path(folder).mkdir(parents=True, exist_ok=True)
     handle = os.open(folder, os.O_RDONLY)
     try:
-        lock(handle, folder)
+        lock(handle, folder, wait)
         yield
     finally:
         os.close(handle)
 
 
-def lock(handle: int, path: str | os.PathLike) -> None:
+def lock(handle: int, path: str | os.PathLike, wait: bool = False) -> None:
     """Locks an open file or folder against other processes until it is closed.
 
     Raises:
-        OutputError: another process has locked it.
+        OutputError: another process has locked it, unless `wait`.
     """
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise OutputError(f"{path}: another process is writing to it") from error
     except OSError:

@@ -1,5 +1,6 @@
 """The command geort-drake: finding commands, options, messages, exit codes, and what it refuses."""
 
+import errno
 import json
 import os
 import re
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,7 +22,7 @@ from geort_drake import synthesize_play
 from geort_drake.cli import COMMANDS, main, options, parser_of, run_command
 from geort_drake.cli.options import DEFAULT_METHOD, SHIPPED_METHOD, SIDES, CommandParser, write_json
 from geort_drake.comparison import train as comparison_train
-from geort_drake.console import console, exit_code_of, progress_bar, run_main, warn
+from geort_drake.console import console, exit_code_of, progress_bar, run_main, track, warn
 from geort_drake.errors import OutputError, RecordingError
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
@@ -53,9 +55,8 @@ def test_the_overview_lists_every_command_in_a_line(capsys):
     for name in COMMANDS:
         assert sum(line.startswith(f"  {name} ") for line in lines) == 2
     assert all(len(line) < 110 for line in lines)
-    files = {
-        path.stem.replace("_", "-") for path in (SCRIPTS.parent / "geort_drake" / "cli").glob("[a-z]*.py")
-    }
+    paths = (SCRIPTS.parent / "geort_drake" / "cli").glob("[a-z]*.py")
+    files = {path.stem.replace("_", "-") for path in paths}
     assert files - {"options", "benchmark-tables", "live-session", "live-web"} == set(COMMANDS)
 
 
@@ -78,13 +79,11 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     from geort_drake.retargeting import checkpoint, methods
     from geort_drake.retargeting.methods.geort.config import FORWARD_KINEMATICS, PRESETS
 
-    assert DEFAULT_METHOD == methods.DEFAULT_METHOD
-    assert [SHIPPED_METHOD] == list(methods.shipped_methods())
+    assert (DEFAULT_METHOD, [SHIPPED_METHOD]) == (methods.DEFAULT_METHOD, list(methods.shipped_methods()))
     assert set(SIDES) == set(recording.SIDES)
     choices = {action.dest: action.choices for action in parser_of("train")._actions}
     assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
-    (unit,) = (action for action in parser_of("convert")._actions if action.dest == "unit")
-    assert unit.choices == list(UNITS_M)
+    assert {each.dest: each.choices for each in parser_of("convert")._actions}["unit"] == list(UNITS_M)
     files = [episode.RESULTS, config.TRIALS, checkpoint.WEIGHTS, parquet.EPISODES, lerobot.INFO]
     assert list(options.RESULT_FILES) == files
 
@@ -94,6 +93,7 @@ def test_facts_repeated_for_help_agree_with_their_modules():
 
 def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
     """Neither progress nor words; with --json one object on stdout. The next run prints everything again."""
+    monkeypatch.setattr(console, "quiet", False)  # restores it after the test
 
     def words():
         with progress_bar() as progress:
@@ -108,6 +108,11 @@ def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
     run_command("capture", [])
     said = words()
     assert "training" in said and said.endswith("done\nwarning: few frames [0]\n")
+
+
+def test_a_bar_appears_before_its_first_item():
+    with progress_bar() as display:
+        assert [*track("planning", (len(display.task_ids) for _ in [0]), 1)] == [1]
 
 
 def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
@@ -163,14 +168,15 @@ def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, 
     assert warnings.showwarning is shown
 
 
-def test_sigterm_interrupts_like_ctrl_c(capsys):
+def test_sigterm_interrupts_like_ctrl_c(monkeypatch, capsys):
     """So that the work's drafts are removed; schedulers and containers stop programs by it."""
+    monkeypatch.setattr("geort_drake.cli.load_command", lambda _: signal.raise_signal(signal.SIGINT))
+    assert main([]) == 130, "before a command has begun"
     before = signal.getsignal(signal.SIGTERM)
-    try:
-        assert exit_code_of(lambda: os.kill(os.getpid(), signal.SIGTERM)) == 130
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert capsys.readouterr().err == "interrupted\n"
+    code = exit_code_of(lambda: os.kill(os.getpid(), signal.SIGTERM))
+    signal.signal(signal.SIGTERM, before)
+    assert code == 130
+    assert capsys.readouterr().err == "interrupted\ninterrupted\n"
 
 
 # -- the package
@@ -199,18 +205,14 @@ def inputs(light_desk, play):
     p_HK = play.p_HK.astype(float)
     lost = p_HK.copy()
     lost[100 : 100 + len(lost) // 5] = np.nan
-    np.save(folder / "good.npy", p_HK)
-    np.save(folder / "shape.npy", p_HK[:, :20])
-    np.save(folder / "millimetres.npy", 1000 * p_HK)
-    np.save(folder / "nan.npy", lost)
-    np.save(folder / "short.npy", p_HK[:100])
-    np.save(folder / "three.npy", p_HK[:3])
+    arrays = {"good": p_HK, "shape": p_HK[:, :20], "millimetres": 1000 * p_HK, "nan": lost}
+    for name, array in (arrays | {"short": p_HK[:100], "three": p_HK[:3]}).items():
+        np.save(folder / f"{name}.npy", array)
     (folder / "table.csv").write_text("0,0,0\n")
     play.save(folder / "no_wrist.npz")
     good = train_lightly("allegro_right", play, folder / "map")
-    weightless = write_hand(
-        folder, HandSpec(4, mimic=False), "weightless", {"(?s)<inertial>.*?</inertial>": ""}
-    )
+    changes = {"(?s)<inertial>.*?</inertial>": ""}
+    weightless = write_hand(folder, HandSpec(4, mimic=False), "weightless", changes)
     write_description(propose(weightless).description, folder / "weightless.yaml")
     (folder / "run").mkdir()
     (folder / "run" / "results.json").write_text("{}")
@@ -227,6 +229,7 @@ def refused(tmp_path, inputs, monkeypatch, capsys):
         raise AssertionError("planning or training began before the input was checked")
 
     monkeypatch.setattr(comparison_train, "TrainingData", too_early)
+    monkeypatch.setattr("geort_drake.comparison.pretrain.train_universal", too_early)
     monkeypatch.setattr(GraspPlanner, "plans", too_early)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     work = tmp_path / "work"
@@ -245,8 +248,7 @@ def refused(tmp_path, inputs, monkeypatch, capsys):
         assert output.err.count("error: ") == 1, output.err
         assert [path.name for path in work.rglob("*")] == ["file"], "something was written"
         assert (work / "file").read_text() == "in the way"
-        for part in parts:
-            assert part in " ".join(output.err.split())
+        assert not [part for part in parts if part not in " ".join(output.err.split())], output.err
 
     return run
 
@@ -350,6 +352,12 @@ def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, comm
     refused(READERS[command].format("@/good.npy"), "is not a directory that can be written to")
     with pytest.raises(OutputError, match="is not a directory that can be written to"):
         comparison_train.cached_checkpoint("allegro_right", synthesize_play(0, 1.0))
+
+
+def test_a_full_disk_is_refused_before_the_training(refused, monkeypatch):
+    monkeypatch.setattr("os.posix_fallocate", Mock(side_effect=OSError(errno.ENOSPC, "No space left")))
+    for line in ("pretrain --output map.safetensors", "train --output out"):
+        refused(line, "cannot be written: No space left")
 
 
 def test_live_says_before_it_trains_that_this_takes_minutes(tmp_path, inputs, monkeypatch, capsys):

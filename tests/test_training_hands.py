@@ -1,6 +1,7 @@
 """From a recording to an evaluated checkpoint, and the cache of checkpoints."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -34,22 +35,18 @@ def test_a_trained_checkpoint_knows_where_it_comes_from(checkpoint, allegro, pla
     assert content.hand["model_sha256"] == allegro.digest
     provenance = content.provenance
     assert provenance["recording"]["sha256"] == play.digest
-    sampled = {"count": 1000, "seed": 2, "model_sha256": allegro.digest}
-    assert provenance["robot_data"] == sampled
+    assert provenance["robot_data"] == {"count": 1000, "seed": 2, "model_sha256": allegro.digest}
     assert {"drake", "torch", "numpy", "geort_drake"} <= set(provenance["versions"])
-    timings = provenance["timings"]
-    assert timings["fit_s"] > timings["training_s"] > 0
+    assert provenance["timings"]["fit_s"] > provenance["timings"]["training_s"] > 0
     rows = (checkpoint / "history.csv").read_text().splitlines()
-    assert rows[0].startswith("step,total,direction,coverage,flatness,pinch,collision")
-    assert len(rows) > 50
+    assert rows[0].startswith("step,total,direction,coverage,flatness,pinch,collision") and len(rows) > 50
 
 
 def test_the_stored_metrics_are_those_of_the_stored_weights(checkpoint, allegro, play, monkeypatch):
     """Loading the checkpoint and evaluating it again gives the same figures."""
     monkeypatch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 2_000)
     stored = json.loads((checkpoint / "metrics.json").read_text())
-    assert stored["hand"] == "allegro_right"
-    assert stored["recording_sha256"] == play.digest
+    assert (stored["hand"], stored["recording_sha256"]) == ("allegro_right", play.digest)
     again = evaluate(load_retargeter(checkpoint, allegro), allegro, play, seed=2)
     for key, value in again.items():
         if key != "latency_us":
@@ -96,8 +93,7 @@ def test_shortcomings_of_the_recording_are_in_the_report(train, play, capsys):
     assert motions == ["narrow motion, index bends", "narrow motion, index moves sideways"]
     assert any("no pinch of the thumb with: index" in text for text in found)
     shown = " ".join(capsys.readouterr().err.split())
-    for text in found:
-        assert f"warning: {text}" in shown
+    assert all(f"warning: {text}" in shown for text in found)
 
 
 def test_a_diverging_training_leaves_a_usable_checkpoint(train, play, tmp_path, capsys, allegro):
@@ -140,17 +136,14 @@ def test_a_tenth_of_the_training_already_serves_the_real_recording(alex_npy, tmp
         robot_samples=20_000, settings={"steps": 600},
     )  # fmt: skip
     figures = json.loads((path / "metrics.json").read_text())
-    assert figures["motion_preservation"] > 0.95
-    assert figures["coverage"]["10mm"] > 0.3
-    assert figures["pinch"]["closed"] > 0.95
-    assert figures["pinch"]["frames"] == 1071
-    assert figures["self_collision"] < 0.005
-    assert figures["cross_talk"] <= 0.08
+    assert figures["motion_preservation"] > 0.95 and figures["coverage"]["10mm"] > 0.3
+    assert figures["pinch"]["closed"] > 0.95 and figures["pinch"]["frames"] == 1071
+    assert figures["self_collision"] < 0.005 and figures["cross_talk"] <= 0.08
 
 
 @pytest.mark.usefixtures("light_evaluation")
 def test_equal_requests_share_a_checkpoint_and_its_warnings(play, monkeypatch):
-    """Other settings, another method or other code do not.
+    """Also at the same time. Other settings, another method or other code do not.
 
     A checkpoint whose training stopped early is not handed out silently the second time.
     """
@@ -164,11 +157,12 @@ def test_equal_requests_share_a_checkpoint_and_its_warnings(play, monkeypatch):
         return cached_checkpoint("allegro_right", play, method, settings=settings)
 
     monkeypatch.setattr(comparison_train, "train_checkpoint", train)
-    paths = [cached(points=16), cached(points=16), cached(points=24), cached("geort", pinch_weight=0.5)]
+    with ThreadPoolExecutor() as threads:  # locks keep threads apart like processes
+        paths = [request.result() for request in [threads.submit(cached, points=16) for _ in range(2)]]
+    paths += [cached(points=24), cached("geort", pinch_weight=0.5)]
     monkeypatch.setattr(comparison_train, "source_digest", lambda *subpackages: "other")
     paths.append(cached(points=16))
-    assert paths[0] == paths[1]
-    assert len(set(paths)) == len(trainings) == 4
+    assert paths[0] == paths[1] and len(set(paths)) == len(trainings) == 4
     for _ in range(2):
         with pytest.warns(RuntimeWarning, match="stopped being finite"):
             cached(learning_rate=1e30)

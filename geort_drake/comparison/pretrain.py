@@ -8,10 +8,11 @@ import torch
 
 from geort_drake.console import progress_bar
 from geort_drake.errors import UnknownNameError
+from geort_drake.files import reserved
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.map_file import MapFile
+from geort_drake.retargeting.map_file import MAX_BYTES, MapFile
 from geort_drake.retargeting.methods.coupled import UNIVERSAL_CONFIG, CoupledConfig
 from geort_drake.retargeting.methods.coupled.training import train_universal
 from geort_drake.versions import git_state, versions
@@ -46,10 +47,10 @@ def pretrain(
 
     Raises:
         HandError, TrainingError: the hand or a setting is unusable.
-        OutputError: the file cannot be written.
+        OutputError: the file cannot be written; found before the training.
     """
     hand = HandModel(description)
-    with progress_bar(show_progress) as bars:
+    with reserved(output, MAX_BYTES), progress_bar(show_progress) as bars:
         result = train_universal(
             canonical_kinematics(hand),
             canonical_shapes(hand),

@@ -16,7 +16,7 @@ import numpy as np
 from geort_drake.comparison.metrics import evaluate
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError
-from geort_drake.files import require_writable, source_digest
+from geort_drake.files import locked, require_writable, reserved, source_digest
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
 from geort_drake.hands.model import HandModel
@@ -39,6 +39,8 @@ from geort_drake.retargeting.trained_space import trained_points
 from geort_drake.retargeting.training.descent import Report
 from geort_drake.settings import check_names
 from geort_drake.versions import git_state, versions
+
+_CHECKPOINT_BYTES = 1 << 20  # more than a checkpoint with default settings has
 
 
 def training_config(method: str, settings: Mapping | None = None) -> TrainingConfig:
@@ -92,14 +94,14 @@ def train_checkpoint(
     Raises:
         HandError, RecordingError, TrainingError, UnknownNameError: an argument is unusable.
         CheckpointError: `output` exists and is not a checkpoint.
-        OutputError: `output` cannot be written.
+        OutputError: `output` cannot be written; found before the training.
     """
     description = load_hand(hand_name)
     config = training_config(method, settings)
     check_replaceable(output)
     require_writable(output, directory=True)
     hand = HandModel(description)
-    with progress_bar(show_progress) as bars:
+    with reserved(output, _CHECKPOINT_BYTES), progress_bar(show_progress) as bars:
         recording = training_recording(recording, description.side, seed)
         keypoints = description.human_keypoints
         p_HF = recording.fingertips(keypoints)
@@ -208,21 +210,29 @@ def cached_checkpoint(
     }
     key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
     path = cache_dir() / "retargeters" / f"{hand.description.name}-{method}-{key}"
-    if path.is_dir():
-        try:
-            load_retargeter(path, hand)
-            known = load_checkpoint(path).provenance["warnings"]
-        except CheckpointError:
-            pass  # damaged: train it again
-        else:
-            for text in known:
-                warnings.warn(text, RuntimeWarning, stacklevel=2)
-            return path
+    if _is_usable(path, hand):
+        return path
     say(
         f"The cache has no {method} retargeter for {hand.description.name} and this recording; training one "
         "takes about two minutes."
     )
-    return train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings)
+    with locked(path.with_name(f".{path.name}.lock"), wait=True):
+        # Another process may have trained it meanwhile.
+        if not _is_usable(path, hand):
+            train_checkpoint(hand_name, recording, path, method, seed, device, settings=settings)
+    return path
+
+
+def _is_usable(path: Path, hand: HandModel) -> bool:
+    """Whether there is an undamaged checkpoint for the hand; repeats the warnings of its training."""
+    try:
+        load_retargeter(path, hand)
+        known = load_checkpoint(path).provenance["warnings"]
+    except CheckpointError:
+        return False
+    for text in known:
+        warnings.warn(text, RuntimeWarning, stacklevel=3)
+    return True
 
 
 def training_recording(source: Recording | str | os.PathLike | None, side: str, seed: int = 0) -> Recording:
