@@ -1,7 +1,6 @@
 """Hostile inputs, faults, kills and full disks: refused or survived; and trials obey physics."""
 
 import dataclasses as dc
-import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -98,12 +97,6 @@ def test_energy_without_work_is_noticed():
     assert seen.violations > 0 == seen.effort
 
 
-@pytest.fixture(scope="module")
-def known(tmp_path_factory):
-    """What each program does without a fault, found out at its first use."""
-    return functools.cache(lambda work: kills.reference(work, tmp_path_factory.mktemp("work")))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("work", "by_clock", "new_interpreter"),
@@ -115,13 +108,13 @@ def known(tmp_path_factory):
         ("teleoperation", True, False),
     ],
 )
-def test_a_killed_program_resumes(known, work, by_clock, new_interpreter, tmp_path):
+def test_a_killed_program_resumes(work, by_clock, new_interpreter, tmp_path):
     """Its results equal those of an undisturbed run bit for bit, also with other hashes and more threads.
 
     docs/results/reliability.md counts many more kills.
     """
-    rng = np.random.default_rng(len(work))
-    assert kills.kill(known(work), tmp_path / "kill", rng, by_clock, new_interpreter) == []
+    rng, known = np.random.default_rng(len(work)), kills.reference(work, tmp_path / "known")
+    assert kills.kill(known, tmp_path / "kill", rng, by_clock, new_interpreter) == []
 
 
 @pytest.mark.parametrize("reason", disks.DISKS)
