@@ -132,7 +132,12 @@ def save(folder, person, number, **changes):
 
 
 def test_people_are_told_apart_by_folder_and_maps_by_name(tmp_path):
-    """Times run from the engagement; failures, and who was too slow, count as the timeout."""
+    """Times run from the engagement; failures, and who was too slow, count as the timeout.
+
+    A folder without sessions or facts is refused.
+    """
+    with pytest.raises(BenchmarkError, match="no session"):
+        read_people(tmp_path)
     for person in ("p1", "p2"):
         save(tmp_path, person, 1)
         save(tmp_path, person, 2, success=person == "p1")
@@ -158,11 +163,6 @@ def test_people_are_told_apart_by_folder_and_maps_by_name(tmp_path):
     assert simulated["wrist_speed"]["mean"] == pytest.approx(everyone["wrist_speed"]["mean"])
     slow = summarize_people(people, trials, 4.0)["people"]["universal map"]
     assert slow["success"]["successes"] == 0 and slow["completion_time"]["mean"] == 4.0
-
-
-def test_a_folder_without_sessions_or_facts_is_refused(tmp_path):
-    with pytest.raises(BenchmarkError, match="no session"):
-        read_people(tmp_path)
     save(tmp_path, "p1", 1, outcome={"success": "perhaps"})
     with pytest.raises(BenchmarkError, match=r"outcome\.success"):
         read_people(tmp_path)
