@@ -10,7 +10,7 @@ import time
 
 import numpy as np
 import pytest
-from live_messages import in_world, joints_of
+from live_messages import in_world, joints_of, station
 from live_page import (
     PAGE,
     WEB,
@@ -28,7 +28,6 @@ from PIL import Image
 
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import decode
-from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.server import WebServer
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
@@ -337,8 +336,7 @@ def test_the_processor_draws_what_webgl_draws(browser):
 
 
 def test_an_old_address_is_refused_in_words(browser, stub):
-    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", {}, "a map"))
-    server = WebServer(station, "127.0.0.1", 0, "key")
+    server = WebServer(station(), "127.0.0.1", 0, "key")
     try:
         page = open_page(browser, None, f"http://127.0.0.1:{server.port}/#old")
         until(page, lambda: "Wrong key: open the address" in page.inner_text("#headline"))

@@ -20,7 +20,7 @@ import pytest
 import trimesh
 from faults.sound import checkpoint
 from grasp_setup import plans
-from live_messages import headset, hello
+from live_messages import headset, hello, station
 from pydrake.geometry import Mesh, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -34,7 +34,6 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
 from geort_drake.live.web.certificate import own_addresses, self_signed_context
 from geort_drake.live.web.messages import MAX_BYTES
-from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.serve import is_loopback
 from geort_drake.live.web.server import WebServer
@@ -49,10 +48,10 @@ PATIENCE_S = 120.0  # a busy machine takes long to start a program
 
 @contextlib.contextmanager
 def serving(pages=None, tls=None):
-    station = OperatorStation(RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cube"]}, "a map"))
-    server = WebServer(station, "127.0.0.1", 0, KEY, tls, pages or Path("no-such-folder"))
+    operated = station()
+    server = WebServer(operated, "127.0.0.1", 0, KEY, tls, pages or Path("no-such-folder"))
     try:
-        yield server, station, f"{'https' if tls else 'http'}://127.0.0.1:{server.port}"
+        yield server, operated, f"{'https' if tls else 'http'}://127.0.0.1:{server.port}"
     finally:
         server.close()
 
