@@ -19,8 +19,6 @@ from geort_drake.comparison.explorer_recording import write_exploration
 from geort_drake.errors import RecordingError
 from geort_drake.people.keypoints import mirrored
 
-NAMES = ("thumb", "index", "middle")
-
 
 def test_cosines_are_of_the_motion_around_an_instant():
     """A robot finger that moves 60° aside keeps a cosine of a half; one that rests counts 0."""

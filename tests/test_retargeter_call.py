@@ -9,10 +9,8 @@ from faults.sound import checkpoint
 
 from geort_drake import Retargeter, load_retargeter
 from geort_drake.errors import GeortError, UnknownNameError
+from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 from geort_drake.retargeting.methods import trained_method
-
-NAMES = ("thumb", "index", "middle", "ring", "little")
-TIPS = (4, 8, 12, 16, 20)
 
 
 def retargeter(fingers: int, hidden: int, shared: int, joints: int, scale: float = 1.0) -> Retargeter:
@@ -36,7 +34,8 @@ def retargeter(fingers: int, hidden: int, shared: int, joints: int, scale: float
     kind = trained_method("geort_coupled" if shared else "geort").retargeter
     limits = lower, lower + rng.uniform(0.1, 3.0, n)
     arrays["columns"] = columns
-    return kind(arrays, NAMES[:fingers], [f"joint_{j}" for j in range(n)], TIPS[:fingers], *limits)
+    tips = [TIP_KEYPOINT[name] for name in FINGER_NAMES[:fingers]]
+    return kind(arrays, FINGER_NAMES[:fingers], [f"joint_{j}" for j in range(n)], tips, *limits)
 
 
 def compiled(*sizes: int, scale: float = 1.0) -> Retargeter:

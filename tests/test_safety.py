@@ -197,10 +197,6 @@ def test_the_output_is_finite_at_the_ends_of_what_is_accepted(period, speed, acc
         assert (np.abs(q) <= 100.0).all() and (np.abs(v) <= speed * (1 + 1e-9)).all()
 
 
-# From full speed to rest at the lowest acceleration takes 2.6 rad/s over 7.5 rad/s².
-STOPPED_S = 0.35
-
-
 def reach(tick: int) -> RigidTransform:
     """A wrist that goes 0.4 m up and back in a second and a half, and turns meanwhile."""
     way = 0.5 - 0.5 * math.cos(2 * math.pi * tick * PERIOD / 1.5)
@@ -217,7 +213,8 @@ def test_a_disengaged_arm_brakes_and_stays():
         path.append((q, v))
     assert np.abs(path[39][1]).max() > 0.3
     assert broken == []
-    stop = 40 + round(STOPPED_S / PERIOD)
+    # From full speed to rest at the lowest acceleration takes 2.6 rad/s over 7.5 rad/s².
+    stop = 40 + round(0.35 / PERIOD)
     for q, v in path[stop:]:
         np.testing.assert_array_equal(v, 0.0)
         np.testing.assert_array_equal(q, path[stop][0])

@@ -15,7 +15,7 @@ from geort_drake import load_hand, load_scenario
 from geort_drake.errors import HandError, ScenarioError
 from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
-from geort_drake.simulation.scenario import Scenario, dump_scenario
+from geort_drake.simulation.scenario import dump_scenario
 from geort_drake.simulation.world import ObjectScene, add_object, add_robot, add_scene, draw_placement
 
 SHIPPED = [
@@ -100,10 +100,6 @@ def test_malformed_files_are_refused_by_name(tmp_path, contents, message):
     assert str(path) in str(caught.value)
 
 
-def scene_of(scenario: Scenario) -> ObjectScene:
-    return add_scene(DiagramBuilder(), scenario, load_hand(scenario.hand), np.random.default_rng(0))
-
-
 def test_the_placement_is_the_seeds_and_within_its_ranges():
     """Position, yaw, mass and friction stay in the ranges and fill them; one seed gives one placement."""
     scenario = scenario_with("cylinder")
@@ -128,7 +124,10 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
     """Only the object's coefficients and the hand's gains; and only the object feels gravity."""
     text = "{hand_stiffness_factor: 4.0, object: {friction_factor: 0.5}}"
     # Both have the same seed, and so the same draw of friction on top.
-    scaled, nominal = (scene_of(scenario_with("cylinder", given)) for given in (text, "{}"))
+    scaled, nominal = (
+        add_scene(DiagramBuilder(), scenario, load_hand(scenario.hand), np.random.default_rng(0))
+        for scenario in (scenario_with("cylinder", text), scenario_with("cylinder"))
+    )
 
     def coefficients(scene: ObjectScene) -> dict[str, float]:
         inspector = scene.scene_graph.model_inspector()

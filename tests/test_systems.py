@@ -163,19 +163,16 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
         np.testing.assert_allclose(at(far, valid, held).GetAsMatrix4(), held.GetAsMatrix4(), atol=1e-12)
 
 
-TILTED = RotationMatrix.MakeXRotation(1.0)
-
-
 def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, palm=None, **config):
     """Feeds one height, contact vector, place x, hand and palm's force per period; the outcome after them."""
     config = GraspMonitorConfig(period=period, **config)
     monitor = GraspMonitor(2, ["a", "b", "palm"], lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, config)
-    bench = SystemBench(monitor, period)
+    bench, tilted = SystemBench(monitor, period), RotationMatrix.MakeXRotation(1.0)
     for step, (height, contact) in enumerate(zip(heights, contacts, strict=True)):
         above = height if hand_heights is None else hand_heights[step]
         bench.fix(
             object_pose=pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height])),
-            hand_pose=pose_to_vector(RigidTransform(TILTED, [0.4, 0.1, 0.3 + above])),
+            hand_pose=pose_to_vector(RigidTransform(tilted, [0.4, 0.1, 0.3 + above])),
             contact=contact,
             link_contact=[*contact, 0.0 if palm is None else palm[step]],
             self_contact=0.0,

@@ -24,7 +24,7 @@ from geort_drake.simulation.tasks.cap.planner import RADIUS as CAP_RADIUS
 from geort_drake.simulation.tasks.cap.task import CapOutcome
 from geort_drake.simulation.tasks.keys.planner import HOVER, PITCH, TRAVEL
 from geort_drake.simulation.tasks.keys.task import KeysMonitor, KeysOutcome, KeysSettings
-from geort_drake.simulation.tasks.pick_place.task import TransferMonitor, TransferOutcome
+from geort_drake.simulation.tasks.pick_place.task import TransferMonitor
 from geort_drake.simulation.tasks.tracking.planner import RADIUS as PUCK
 from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner, targets
 from geort_drake.simulation.tasks.tracking.task import TrackingMonitor, TrackingOutcome, TrackingSettings
@@ -258,16 +258,6 @@ def test_every_plan_holds_the_puck_and_reaches_the_targets():
 X_WP = RigidTransform([0.5, 0.15, 0.01])
 
 
-def transfer_outcome(path: list[tuple[float, float, float, float]]) -> TransferOutcome:
-    """The judgement of an object on lines between (y, z, yaw, force of two fingers), one a second."""
-    task, rows = find_task("pick_place"), np.array(path)
-    height = next(iter(task.heights.values()))
-    monitor = TransferMonitor(2, X_WP, lambda X: X.translation()[2] - height / 2, 0.0)
-    poses = [[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2), 0.5, y, z + height / 2] for y, z, yaw, _ in path]
-    t = np.arange(len(path), dtype=float)
-    return outcome_of(monitor, t[-1], object_pose=(t, poses), contact=(t, rows[:, [3, 3]]))
-
-
 GRASP = [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)]
 LIFT = [*GRASP, (0.0, 0.1, 0.0, 1.0)]
 CARRY = [*LIFT, (0.15, 0.1, 0.0, 1.0)]
@@ -287,7 +277,12 @@ CARRY = [*LIFT, (0.15, 0.1, 0.0, 1.0)]
     ],
 )
 def test_blocks_are_graded_by_the_steps_reached_in_order(path, reached):
-    outcome = transfer_outcome(path)
+    """An object on lines between (y, z, yaw, force of two fingers), one a second."""
+    height = next(iter(find_task("pick_place").heights.values()))
+    monitor = TransferMonitor(2, X_WP, lambda X: X.translation()[2] - height / 2, 0.0)
+    poses = [[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2), 0.5, y, z + height / 2] for y, z, yaw, _ in path]
+    t, force = np.arange(len(path), dtype=float), np.array(path)[:, [3, 3]]
+    outcome = outcome_of(monitor, t[-1], object_pose=(t, poses), contact=(t, force))
     assert outcome.score == pytest.approx(reached / 5) and outcome.success == (reached == 5)
 
 
