@@ -270,7 +270,10 @@ def tiny_work(light_desk, play, light_benchmark):
 @pytest.mark.parametrize("chain", CHAINS)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_commands_run(chain, tiny_work, capsys):
-    """Each ends with code 0, prints JSON alone on stdout if asked, and suggests commands that parse."""
+    """Each ends with code 0, prints JSON alone on stdout if asked, and suggests commands.
+
+    One can type these here: program, options and files exist.
+    """
     capsys.readouterr()
     for line, key in CHAINS[chain].items():
         name, *words = shlex.split(line)
@@ -278,7 +281,14 @@ def test_commands_run(chain, tiny_work, capsys):
         captured = capsys.readouterr()
         assert key in json.loads(captured.out) if key else captured.out == ""
         for suggestion in re.findall(r"^next: (.*)$", captured.err, re.MULTILINE):
-            check_suggestion(shlex.split(suggestion))
+            words = shlex.split(suggestion)
+            if "rerun" in Path(words[0]).name:
+                assert list(Path().glob(words[1]))
+                continue
+            name, *rest = words[3 if words[1] == "-m" else 1 :]
+            arguments = parser_of(name).parse_args(rest)
+            given = [getattr(arguments, key, None) for key in ("recording", "retargeter", "input")]
+            assert all(path.exists() for path in given if isinstance(path, Path) and name != "capture")
 
 
 @pytest.mark.slow
@@ -304,17 +314,6 @@ def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, m
     assert Path("stopped/interrupted/cylinder-1.rrd").is_file()
     assert run_command("export", ["stopped", "stopped_table"]) == 0
     assert [path.name for path in Path("stopped_table/frames").iterdir()] == ["cylinder-0.parquet"]
-
-
-def check_suggestion(words: list[str]) -> None:
-    """A command that one can type here: its program, options and files exist."""
-    if "rerun" in Path(words[0]).name:
-        assert list(Path().glob(words[1]))
-        return
-    name, *rest = words[3 if words[1] == "-m" else 1 :]
-    arguments = parser_of(name).parse_args(rest)
-    given = [getattr(arguments, key, None) for key in ("recording", "retargeter", "input")]
-    assert all(path.exists() for path in given if isinstance(path, Path) and name != "capture")
 
 
 def test_every_command_is_run():

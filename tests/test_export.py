@@ -106,16 +106,6 @@ def test_parquet_holds_the_run(run, tmp_path):
     assert json.loads(trials[0]["phase_times"]) == {"HOLD": 0.1}
 
 
-def lerobot_episode(folder, episode):
-    """The numbers of each feature (T, n) as Rerun reads the dataset."""
-    features = {}
-    for chunk in LeRobotReader(folder).stream(episode):
-        batch = chunk.to_record_batch()
-        if "Scalars:scalars" in batch.schema.names:
-            features[chunk.entity_path.strip("/")] = np.array(batch.column("Scalars:scalars").to_pylist())
-    return features
-
-
 def test_rerun_reads_the_lerobot_dataset(run, tmp_path):
     """Episodes, actions and observations are what was recorded; the glove's newest frame at each time.
 
@@ -126,7 +116,12 @@ def test_rerun_reads_the_lerobot_dataset(run, tmp_path):
     reader = LeRobotReader(output)
     assert (reader.version, reader.episodes()) == ("v3", [0, 1, 2])
     for number, (name, frames) in enumerate(FRAMES.items()):
-        features, t = lerobot_episode(output, number), PERIOD * np.arange(frames)
+        features, t = {}, PERIOD * np.arange(frames)
+        for chunk in reader.stream(number):
+            batch = chunk.to_record_batch()
+            if "Scalars:scalars" in batch.schema.names:
+                values = batch.column("Scalars:scalars").to_pylist()
+                features[chunk.entity_path.strip("/")] = np.array(values)
         asked = np.array([command(time) for time in t])
         np.testing.assert_allclose(features["action"], asked, atol=1e-6)
         np.testing.assert_allclose(features["observation.state"], asked - 0.1, atol=1e-6)

@@ -36,15 +36,6 @@ def imports(path: Path, outermost: bool = False) -> list[str]:
     return found
 
 
-def modules() -> dict[str, Path]:
-    """Module name → file."""
-    found = {}
-    for path in PACKAGE.rglob("*.py"):
-        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-        found[".".join(parts).removesuffix(".__init__")] = path
-    return found
-
-
 @pytest.mark.parametrize("subpackage", SUBPACKAGES)
 def test_a_subpackage_imports_only_lower_ones(subpackage):
     upper = {*SUBPACKAGES[SUBPACKAGES.index(subpackage) + 1 :]}
@@ -55,8 +46,10 @@ def test_a_subpackage_imports_only_lower_ones(subpackage):
 
 def test_no_modules_import_each_other_in_a_cycle():
     """Imports within functions and for types alone count too, except those of the lazy `geort_drake`."""
-    known = modules()
-    graph = {}
+    known, graph = {}, {}
+    for path in PACKAGE.rglob("*.py"):
+        parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+        known[".".join(parts).removesuffix(".__init__")] = path
     for name, path in known.items():
         used = {part for part in imports(path) if part.startswith("geort_drake.")}
         graph[name] = {part if part in known else part.rpartition(".")[0] for part in used} - {name}

@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -36,19 +37,6 @@ from geort_drake.simulation.world import draw_placement
 UNIVERSAL = load_retargeter("allegro_right")
 OWN, OTHERS = (UNIVERSAL.for_person(scale * PLAY.p_HK) for scale in (1.1, 0.9))
 SEED = 5
-
-
-class Fit:
-    """A fit of the map that is done at once."""
-
-    def __init__(self, recording, output, hand, map_file):
-        self.output = output
-
-    def state(self):
-        return DONE
-
-    def close(self):
-        pass
 
 
 class Page:
@@ -264,7 +252,11 @@ def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_parts(tmp_path, m
 
 def test_a_map_made_mine_again_takes_over_without_a_new_session_or_a_jump(tmp_path, monkeypatch):
     """Also after a reset, which keeps the person's map; without consent nothing of it is kept."""
-    monkeypatch.setattr(personal_map, "Refitting", Fit)
+    # A fit of the map that is done at once.
+    fit = {"state": lambda: DONE, "close": lambda: None}
+    monkeypatch.setattr(
+        personal_map, "Refitting", lambda _, output, *__: SimpleNamespace(output=output, **fit)
+    )
     page = Page(tmp_path, maps=(OWN, OTHERS))
     page.run(Engage(), steps=100)
     guide = GuidedPlay(0.0, "right")

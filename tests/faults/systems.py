@@ -249,7 +249,8 @@ def _measured(step: Callable[[int], int], count: int) -> dict:
         times.append((time.thread_time() - started) / len(numbers))
         if block in (tenth, len(blocks)):
             gc.collect()
-            memory[block] = _resident_mb()
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            memory[block] = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
     early, late = np.median(times[tenth : 2 * tenth] or times), np.median(times[-tenth:])
     return {
         "updates": count,
@@ -258,8 +259,3 @@ def _measured(step: Callable[[int], int], count: int) -> dict:
         "us_per_update": round(1e6 * float(np.median(times)), 1),
         "slow_down": round(float(late / early) - 1.0, 4),
     }
-
-
-def _resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
