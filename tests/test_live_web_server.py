@@ -32,10 +32,9 @@ from geort_drake.errors import LiveError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
-from geort_drake.live.web.certificate import own_addresses, self_signed_context
 from geort_drake.live.web.messages import MAX_BYTES
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
-from geort_drake.live.web.serve import is_loopback
+from geort_drake.live.web.serve import is_loopback, own_addresses, self_signed_context
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.tasks import find_task

@@ -13,8 +13,8 @@ from glove_files import FRAMES, moving
 from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks import examine, verdict
+from geort_drake.people.checks.anatomy import EXPECTED, ORDERS, fitting_order
 from geort_drake.people.checks.findings import Severity
-from geort_drake.people.checks.order import EXPECTED, ORDERS, fitting_order
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.readers import open_recording

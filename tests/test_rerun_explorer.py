@@ -7,10 +7,10 @@ from rerun_world import entities, read, rerun
 from geort_drake import Recording, load_retargeter
 from geort_drake.cli import run_command
 from geort_drake.comparison import metrics, training_recording
-from geort_drake.comparison.adaptation import follow
 from geort_drake.comparison.exploration import (
     excerpt,
     find_pinches,
+    follow,
     motion_cosines,
     proportional_copy,
     response,

@@ -34,8 +34,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand
-    from geort_drake.comparison.adaptation import follow
-    from geort_drake.comparison.exploration import excerpt, response
+    from geort_drake.comparison.exploration import excerpt, follow, response
     from geort_drake.comparison.explorer_recording import write_exploration
     from geort_drake.comparison.retargeters import names_of, retargeter_of
     from geort_drake.comparison.train import training_recording

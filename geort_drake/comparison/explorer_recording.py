@@ -8,8 +8,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geort_drake.colours import SKIN, Color, finger_colors
-from geort_drake.comparison.adaptation import Adaptation
-from geort_drake.comparison.exploration import Pinches, Response, find_pinches
+from geort_drake.comparison.exploration import Adaptation, Pinches, Response, find_pinches
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording

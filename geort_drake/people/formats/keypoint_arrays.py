@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.people.checks.order import MANO_ORDER, ORDERS, fitting_order
+from geort_drake.people.checks.anatomy import MANO_ORDER, ORDERS, fitting_order
 from geort_drake.people.formats.contents import any_frame, shape_in
 from geort_drake.people.formats.source import Format, Source, Tracks
 from geort_drake.people.keypoints import KEYPOINT_COUNT, MIDDLE_MCP, WRIST
