@@ -168,12 +168,13 @@ def test_people_are_told_apart_by_folder_and_maps_by_name(tmp_path):
         read_people(tmp_path)
 
 
-def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benchmark, monkeypatch):
+def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benchmark, monkeypatch, capsys):
     monkeypatch.setattr(trial_runner, "plan", lambda *_: [reach_goal()])
     save(tmp_path / "study", "p1", 1)
     options = ["--methods", "hold", "--objects", "cylinder", "--trials", "1", "--zero-latency", "--jobs", "1"]
     options += ["--output", str(tmp_path / "run"), "--scenario-text", "{timeout: 2.0}"]
     assert run_command("benchmark", [*options, "--people", str(tmp_path / "study")]) == 0
+    assert "┃ fingertips ┃" in capsys.readouterr().err, "whole words in 80 columns"
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())["people"]
     assert summary["people"]["universal map"]["success"]["rate"] == 0.0  # it took longer than the timeout
     assert summary["simulated"]["hold"]["wrist_speed"]["mean"] > 0.0

@@ -11,7 +11,8 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     from geort_drake.console import print_table, warn
 
     folder, errors = arguments.output, summary["errors"]
-    headings = ("method", "first attempt", "95 %", "success", "tip-only", "mean time", "difference")
+    # Narrow enough for 80 columns; otherwise words would be cut.
+    headings = ("method", "first\nattempt", "95 %", "success", "tip-only", "mean\ntime", "difference")
     caption = (
         "first attempt: lifted and held without a second attempt; tip-only: only fingertips touched the held "
         "object; mean time: failures count as the timeout; difference: of first-attempt success to the first "
@@ -19,7 +20,7 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     )
     print_table(headings, _rows(summary), "Grasps", caption)
     if summary["people"]:
-        people = ("who", "success", "95 %", "mean time", "wrist", "fingertips", "movements")
+        people = ("who", "success", "95 %", "mean\ntime", "wrist", "fingertips", "movements")
         meaning = (
             "with the objects that people grasped; mean time: failures count as the timeout; wrist, "
             "fingertips: mean speed in motion; movements: peaks of the wrist's speed"
