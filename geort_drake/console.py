@@ -19,7 +19,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
+from rich.table import Column, Table
 
 from geort_drake.errors import GeortError
 
@@ -100,6 +100,7 @@ class Display(Progress):
         update(1, 1)
 
 
+_NUMBERS = (MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn)
 _display: Display | None = None
 
 
@@ -118,9 +119,9 @@ def progress_bar(shown: bool = True) -> Iterator[Display]:
         for task in {*_display.task_ids} - before:
             _display.remove_task(task)
     else:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        note = TextColumn("{task.fields[note]}")
-        with Display(*columns, TimeRemainingColumn(), note, console=console) as _display:
+        numbers = [each(table_column=Column(no_wrap=True)) for each in _NUMBERS]
+        note = TextColumn("{task.fields[note]}", table_column=Column())  # wraps in a narrow terminal
+        with Display("{task.description}", BarColumn(), *numbers, note, console=console) as _display:
             try:
                 yield _display
             finally:

@@ -110,9 +110,11 @@ def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
     assert "training" in said and said.endswith("done\nwarning: few frames [0]\n")
 
 
-def test_a_bar_appears_before_its_first_item():
+def test_a_bar_appears_before_its_first_item_and_beside_a_long_note(capsys):
     with progress_bar() as display:
         assert [*track("planning", (len(display.task_ids) for _ in [0]), 1)] == [1]
+        display.counter("training")(1860, 1860, "direction 0.036  " * 5)
+    assert "1860/1860" in capsys.readouterr().err
 
 
 def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
