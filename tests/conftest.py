@@ -47,7 +47,7 @@ def play():
 def light_benchmark(play):
     """Benchmarks run in this process, with a minute of play, few measured calls, and little free play.
 
-    Workers are tested in test_grasp_workers.py, free play in test_free_play.py.
+    Workers are tested in test_grasp_workers.py, free play in test_trial.py.
     """
     from grasp_setup import in_this_process
 
