@@ -172,7 +172,8 @@ def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, 
 
 def test_sigterm_interrupts_like_ctrl_c(monkeypatch, capsys):
     """So that the work's drafts are removed; schedulers and containers stop programs by it."""
-    monkeypatch.setattr("geort_drake.cli.load_command", lambda _: signal.raise_signal(signal.SIGINT))
+    interrupt = Mock(side_effect=KeyboardInterrupt)
+    monkeypatch.setattr("geort_drake.cli.load_command", interrupt)
     assert main([]) == 130, "before a command has begun"
     before = signal.getsignal(signal.SIGTERM)
     code = exit_code_of(lambda: os.kill(os.getpid(), signal.SIGTERM))
