@@ -139,7 +139,7 @@ def track(
     """
     with progress_bar() as display:
         update = display.counter(label)
-        update(0, total)
+        update(0, total)  # drawn before the first item is there
         for done, item in enumerate(items):
             update(done, total, note(item))
             yield item

@@ -1,4 +1,4 @@
-"""Finds positions of three keys under a robot hand, and the postures above and on them."""
+"""Finds goals: positions of three keys under a robot hand, with the postures above and on them."""
 
 import dataclasses as dc
 
@@ -62,7 +62,7 @@ class KeysPlanner(FingerPlanner[KeysPlan]):
         self._key_of[self.fingers] = np.arange(len(self.fingers))
 
     def _find(self) -> list[KeysPlan]:
-        # The hand starts in its default position, from which the fingers would not get out of the keys.
+        # The hand starts in its default position. Fingers that start inside the keys stay hooked under them.
         start = self.hand.fingertips(self.hand.default_position)[self.fingers, 0] + self.radius
         clear = _X[_X > start.max() + HOVER]
         return [plan for x in clear for z in _Z if (plan := self._plan(x, z)) is not None]
