@@ -17,7 +17,6 @@ from geort_drake.retargeting.rotations import cross_matrices
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
 _CHUNK = 1000
-_PERMANENT_FRACTION = 0.95  # of postures in which a pair overlaps that is ignored
 
 
 @dataclass(frozen=True)
@@ -90,18 +89,14 @@ class CollisionGaps:
                 setattr(moved, name, value.to(device))
         return moved
 
-    def keep_relevant_pairs(self, q: torch.Tensor, margin: float) -> None:
-        """Drops pairs that never come closer than `margin`, m, or nearly always overlap, at q (N, n), rad.
-
-        Boxes in place of hulls may overlap in all postures, and no joint angles would separate them.
-        """
-        close, overlapping = (torch.zeros(len(self.pairs), device=q.device) for _ in range(2))
+    def keep_pairs_that_meet(self, q: torch.Tensor, margin: float) -> None:
+        """Drops pairs that never come closer than `margin`, m, at joint angles q (N, n), rad."""
+        met = torch.zeros(len(self.pairs), dtype=torch.bool, device=q.device)
         with torch.no_grad():
             for part in q.split(_CHUNK):
                 _, pair, gap = self.near(part, margin)
-                close.index_add_(0, pair, (gap < margin).float())
-                overlapping.index_add_(0, pair, (gap < 0.0).float())
-        self.pairs = self.pairs[(close > 0) & (overlapping < _PERMANENT_FRACTION * len(q))]
+                met[pair[gap < margin]] = True
+        self.pairs = self.pairs[met]
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Computes R_BS (N, S, 3, 3) and p_BS (N, S, 3), m, of the shapes at joint angles q (N, n), rad."""

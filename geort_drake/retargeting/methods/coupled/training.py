@@ -192,7 +192,7 @@ class _Training:
         self.collisions = None
         if shapes is not None:
             gaps = CollisionGaps(kinematics, shapes)
-            gaps.keep_relevant_pairs(q[:4000], collisions.MARGIN)
+            gaps.keep_pairs_that_meet(q[:4000], collisions.MARGIN)
             self.collisions = collisions.NearCollisions(people, gaps.to(people.device))
         self.coverage = CoverageTargets(people, kinematics, voxels, generator)
         self.multipliers = Multipliers({name: getattr(config, name) for name in CONSTRAINTS}, **gains)
