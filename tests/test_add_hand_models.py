@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
@@ -17,11 +18,13 @@ from geort_drake import HandModel, load_hand
 from geort_drake.cli import run_command
 from geort_drake.errors import HandError, OutputError, UnknownNameError
 from geort_drake.hands.assembly import parse_model
+from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
 from geort_drake.hands.importers.couplings import tendon_couplings
 from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
+from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 
 # A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
 PARTS = {
@@ -170,6 +173,26 @@ def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
     assert not any("touch in" in fault for fault in examine(HandModel(description)))
     description.ignored_collisions = []
     assert any("touch in" in fault for fault in examine(HandModel(description)))
+
+
+def test_corrected_boxes_of_hulls_collide_when_drakes_hulls_do(tmp_path):
+    """A wedge as palm leaves half of its box empty, and fingers bend into that half."""
+    model = _with_mesh(tmp_path, "urdf", "palm.stl")
+    wedge = np.array(
+        [[x, y, z] for y in (-0.033, 0.033) for x, z in ((-0.022, 0), (-0.022, 0.08), (0.07, 0))]
+    )
+    trimesh.convex.convex_hull(wedge).export(tmp_path / "parts" / "palm.stl")
+    hand = HandModel(propose(convert_model(model, tmp_path / "copy", [])).description)
+    shapes, q = collision_shapes(hand), hand.sample(500, seed=1)
+    collides = hand.collides_beyond_tips(q)
+
+    def agreement(shapes) -> float:
+        gaps = CollisionGaps(hand.kinematics(), shapes)
+        return float(((gaps.least(torch.tensor(q).float(), 0.002).numpy() < 0) == collides).mean())
+
+    assert 0.1 < collides.mean() < 0.9
+    assert agreement(shapes) > 0.95
+    assert agreement(dc.replace(shapes, correction=0.0)) < 0.8
 
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"

@@ -84,7 +84,7 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
     """Writes a model's description; returns its path, the description and notes for the user."""
     from geort_drake.hands.description import write_description
     from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
-    from geort_drake.hands.importers.proposal import propose
+    from geort_drake.hands.importers.proposal import listed, propose
 
     given = arguments.model
     if arguments.output is not None and arguments.output.suffix not in (".yaml", ".yml"):
@@ -96,13 +96,13 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
     require_writable(path)
     model = given
     notes: list[str] = []
-    meshes = ", ".join(mesh.name for mesh in unreadable_meshes(given))
+    meshes = listed([mesh.name for mesh in unreadable_meshes(given)])
     if meshes or arguments.hulls:
         model = convert_model(given, path.with_name(f"{path.stem}_model"), notes)
     if meshes:
         notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
     if arguments.hulls:
-        links = ", ".join(add_collisions(model))
+        links = listed(add_collisions(model))
         notes.append(f"links with collision geometry made from their visual geometry: {links or 'none'}")
     proposal = propose(model, name, arguments.palm)
     notes += proposal.notes

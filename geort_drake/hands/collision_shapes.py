@@ -1,9 +1,23 @@
 """Converts a hand's collision geometry to plain arrays, for training without Drake."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydrake.geometry import Box, CalcObb, CalcVolume, Capsule, Convex, Cylinder, Mesh, Role, Shape, Sphere
+from pydrake.geometry import (
+    Box,
+    CalcObb,
+    CalcVolume,
+    Capsule,
+    Convex,
+    Cylinder,
+    GeometryId,
+    Mesh,
+    Role,
+    Shape,
+    Sphere,
+)
 
 from geort_drake.errors import HandError
 from geort_drake.hands.chains import joint_paths
@@ -12,13 +26,18 @@ from geort_drake.hands.model import HandModel
 if TYPE_CHECKING:
     from geort_drake.retargeting.training.collision_geometry import CollisionShapes
 
+# For corrections: random postures, and those of them in which a pair must be near.
+POSTURES, NEAR_POSTURES = 600, 5
+NEAR, FAR = 0.003, 0.02  # m; a pair is near up to the first distance, and is measured up to the second
+
 
 def collision_shapes(hand: HandModel) -> "CollisionShapes":
     """Returns the boxes and spheres of a hand, and the pairs of them that must not touch.
 
     Boxes and spheres stay the same. A cylinder becomes a box of equal length and cross-sectional area, and a
     capsule such a box with spheres at both ends. A mesh becomes the box around its convex hull, scaled to the
-    hull's volume. Pairs that Drake filters and pairs of fingertips are left out.
+    hull's volume; Drake's distances correct the gaps of its pairs. Pairs that Drake filters and pairs of
+    fingertips are left out.
 
     Raises:
         HandError: the hand has a collision geometry of another kind.
@@ -55,13 +74,53 @@ def collision_shapes(hand: HandModel) -> "CollisionShapes":
             if a == b or joint[i] == joint[j] or inspector.CollisionFiltered(a, b) or hand.are_tips(a, b):
                 continue
             pairs.append((j, i) if radius[i] > 0 else (i, j))
-    return CollisionShapes(
+    shapes = CollisionShapes(
         np.array(joint, dtype=int),
         np.array(X_JS).reshape(-1, 4, 4),
         np.array(half).reshape(-1, 3),
         np.array(radius),
         np.array(pairs, dtype=int).reshape(-1, 2),
     )
+    is_mesh = np.array([isinstance(inspector.GetShape(geometry), Convex | Mesh) for geometry in source])
+    if not (pairs and is_mesh.any()):
+        return shapes
+    return replace(shapes, correction=_corrections(hand, shapes, source, is_mesh))
+
+
+def _corrections(
+    hand: HandModel, shapes: "CollisionShapes", source: Sequence[GeometryId], is_mesh: np.ndarray
+) -> np.ndarray:
+    """Returns (P,) the difference, m, between Drake's distance and the gap of each pair with a mesh.
+
+    It is the median over the random postures in which the pair is near.
+
+    Args:
+        source: (S,) the geometry of each shape.
+        is_mesh: (S,) whether it is a mesh.
+    """
+    import torch
+
+    from geort_drake.retargeting.training.collision_geometry import CollisionGaps  # loads PyTorch
+
+    q = hand.sample(POSTURES)
+    # The parts of a geometry share its columns.
+    columns: dict[frozenset[GeometryId], int] = {}
+    column = np.array(
+        [columns.setdefault(frozenset((source[a], source[b])), len(columns)) for a, b in shapes.pairs]
+    )
+    distances, gaps = np.full((2, POSTURES, len(columns)), FAR)
+    context = hand.contact_context()
+    for row, angles in enumerate(q):
+        for found in hand.query(angles, context).ComputeSignedDistancePairwiseClosestPoints(FAR):
+            number = columns.get(frozenset((found.id_A, found.id_B)))
+            if number is not None:
+                distances[row, number] = min(found.distance, FAR)
+    rows, pairs, near = CollisionGaps(hand.kinematics(), shapes).near(torch.tensor(q).float(), FAR)
+    np.minimum.at(gaps, (rows.numpy(), column[pairs.numpy()]), near.numpy())
+    difference = np.ma.masked_where(np.minimum(distances, gaps) > NEAR, distances - gaps)
+    difference[:, difference.count(0) < NEAR_POSTURES] = np.ma.masked
+    median = np.ma.median(difference, axis=0).filled(0.0)
+    return np.where(is_mesh[shapes.pairs].any(1), median[column], 0.0)
 
 
 def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:

@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -98,8 +99,10 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     )
     overlaps = _overlaps(hand)
     if overlaps:
-        pairs = (f"'{a}' and '{b}' in {share:.0%} of postures" for (a, b), share in overlaps.items())
-        notes.append(f"contacts of links with overlapping shapes are ignored: {', '.join(pairs)}")
+        # First the pairs that can be apart.
+        pairs = sorted(overlaps.items(), key=lambda item: item[1])
+        texts = [f"'{a}' and '{b}' in {share:.0%} of postures" for (a, b), share in pairs]
+        notes.append(f"contacts of links with overlapping shapes are ignored: {listed(texts)}")
     described = [_describe_finger(*each) for each in zip(names, structure.chains, tips, strict=True)]
     description = dc.replace(
         draft,
@@ -121,6 +124,12 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     elif (start != hand.default_position).any():
         description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
     return Proposal(description, notes)
+
+
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """Joins names by commas; of more than `most`, the last ones are counted."""
+    more = len(names) - most
+    return ", ".join(names if more <= 0 else [*names[:most], f"and {more} more"])
 
 
 def _overlaps(hand: HandModel) -> dict[tuple[str, str], float]:

@@ -3,7 +3,7 @@
 Shapes are boxes and spheres. The gap of two shapes is their largest separation over the face normals and edge
 products of the boxes (separating-axis theorem: Gottschalk et al. 1996, "OBBTree") and over the direction from
 the first box to the second shape's centre. The gap is negative if and only if the shapes overlap, exact if
-one is a sphere, and never more than the true distance.
+one is a sphere, and never more than the true distance. A pair may have a correction, which is added.
 """
 
 import copy
@@ -30,6 +30,7 @@ class CollisionShapes:
         half: (S, 3) half edges of a box, m; zero for a sphere.
         radius: (S,) radius of a sphere, m; zero for a box.
         pairs: (P, 2) numbers of shapes that must not touch; if only one is a sphere, it comes second.
+        correction: (P,) addition to the gap of each pair, m, or one for all.
     """
 
     joint: np.ndarray
@@ -37,6 +38,7 @@ class CollisionShapes:
     half: np.ndarray
     radius: np.ndarray
     pairs: np.ndarray
+    correction: np.ndarray | float = 0.0
 
     def mirrored(self) -> "CollisionShapes":
         """Returns the shapes of the hand with the kinematics `HandKinematics.mirrored()`."""
@@ -80,6 +82,7 @@ class CollisionGaps:
         self._half, self._radius = constant(shapes.half), constant(shapes.radius)
         self._reach = torch.linalg.vector_norm(self._half, dim=1) + self._radius
         self.pairs = torch.tensor(np.asarray(shapes.pairs, dtype=int).reshape(-1, 2))
+        self._correction = constant(np.broadcast_to(shapes.correction, len(self.pairs)))
 
     def to(self, device: torch.device) -> "CollisionGaps":
         """Returns a copy on another device."""
@@ -96,7 +99,7 @@ class CollisionGaps:
             for part in q.split(_CHUNK):
                 _, pair, gap = self.near(part, margin)
                 met[pair[gap < margin]] = True
-        self.pairs = self.pairs[met]
+        self.pairs, self._correction = self.pairs[met], self._correction[met]
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Computes R_BS (N, S, 3, 3) and p_BS (N, S, 3), m, of the shapes at joint angles q (N, n), rad."""
@@ -121,7 +124,7 @@ class CollisionGaps:
         R, p = self.poses(q)
         a, b = self.pairs.T
         with torch.no_grad():
-            reach = self._reach[a] + self._reach[b] + margin
+            reach = self._reach[a] + self._reach[b] + margin - self._correction
             row, pair = torch.nonzero((p[:, a] - p[:, b]).square().sum(-1) < reach**2, as_tuple=True)
         return row, pair, self._gaps(R, p, row, pair)
 
@@ -157,7 +160,7 @@ class CollisionGaps:
         a, b = self.pairs[pair].T
         R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
         gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
-        return gap - self._radius[a] - self._radius[b]
+        return gap - self._radius[a] - self._radius[b] + self._correction[pair]
 
 
 def box_gap(
