@@ -18,6 +18,7 @@ from geort_drake import HandModel, load_hand
 from geort_drake.cli import run_command
 from geort_drake.errors import HandError, OutputError, UnknownNameError
 from geort_drake.hands.assembly import parse_model
+from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
@@ -175,7 +176,7 @@ def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
     assert any("touch in" in fault for fault in examine(HandModel(description)))
 
 
-def test_corrected_boxes_of_hulls_collide_when_drakes_hulls_do(tmp_path):
+def test_training_and_guard_see_the_hulls_that_drake_sees(tmp_path):
     """A wedge as palm leaves half of its box empty, and fingers bend into that half."""
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
     wedge = np.array(
@@ -193,6 +194,16 @@ def test_corrected_boxes_of_hulls_collide_when_drakes_hulls_do(tmp_path):
     assert 0.1 < collides.mean() < 0.9
     assert agreement(shapes) > 0.95
     assert agreement(dc.replace(shapes, correction=0.0)) < 0.8
+
+    clearance, context, counts = HandClearance(hand, 0.002), hand.contact_context(), [0, 0]
+    watched = {frozenset(pair) for pair in clearance.pairs}
+    for angles in q:
+        found = hand.query(angles, context).ComputeSignedDistancePairwiseClosestPoints(0.01)
+        distance = min((f.distance for f in found if {f.id_A, f.id_B} in watched), default=0.01)
+        if not 0.002 <= distance <= 0.0035:  # edges of enlarged geometries lie between
+            assert bool(clearance.near(angles).pairs) == (distance < 0.002)
+            counts[distance < 0.002] += 1
+    assert min(counts) > 100
 
 
 LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"

@@ -2,7 +2,8 @@
 
 Drake detects overlaps several times faster than it computes distances. Every geometry is therefore enlarged
 by half of the clearance: if two enlarged geometries do not overlap, the true ones keep it. Enlarged
-boxes keep sharp edges and corners, so a computed gap may be less than the true distance, but never more.
+boxes and hulls keep sharp edges and corners, so a computed gap may be less than the true distance, but never
+more.
 """
 
 from collections.abc import Sequence
@@ -11,20 +12,20 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
+from pydrake.common import MemoryFile
 from pydrake.geometry import (
     Box,
-    CalcObb,
     Capsule,
     CollisionFilterDeclaration,
     Convex,
     Cylinder,
     GeometryId,
     GeometrySet,
+    InMemoryMesh,
     Mesh,
     Shape,
     Sphere,
 )
-from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
@@ -56,7 +57,7 @@ class HandClearance:
 
     Pairs that Drake filters and pairs of fingertips are left out. Pairs within a finger, or of a finger and
     the palm, with at most two joints between them are also left out if they never touch on a grid over the
-    ranges of these joints: joint limits keep them apart. A box around its convex hull replaces each mesh.
+    ranges of these joints: joint limits keep them apart. A mesh counts as its convex hull.
 
     Not thread-safe: the object owns the contexts in which it computes.
 
@@ -191,9 +192,8 @@ class HandClearance:
         context = scene_graph.GetMyMutableContextFromRoot(root)
         for geometry in self._geometries:
             shape, name = self._inspector.GetShape(geometry), self._inspector.GetName(geometry)
-            X_GS, larger = _enlarged(shape, name, 0.5 * self._clearance)
-            X_FS = self._inspector.GetPoseInFrame(geometry) @ X_GS
-            scene_graph.ChangeShape(context, self._plant.get_source_id(), geometry, larger, X_FS)
+            larger = _enlarged(shape, name, 0.5 * self._clearance)
+            scene_graph.ChangeShape(context, self._plant.get_source_id(), geometry, larger)
         # Last, because a changed shape loses its collision filters.
         filters, watched = scene_graph.collision_filter_manager(context), {frozenset(p) for p in self.pairs}
         for pair in self._candidates(root):
@@ -210,18 +210,26 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     )
 
 
-def _enlarged(shape: Shape, name: str, margin: float) -> tuple[RigidTransform, Shape]:
-    """Returns a shape, and its pose in G, that contains all points within `margin`, m, of the given shape."""
-    X_GS = RigidTransform()
+def _enlarged(shape: Shape, name: str, margin: float) -> Shape:
+    """Returns a shape that contains all points within `margin`, m, of the given shape."""
     if isinstance(shape, Box):
-        return X_GS, Box(shape.size() + 2.0 * margin)
+        return Box(shape.size() + 2.0 * margin)
     if isinstance(shape, Sphere):
-        return X_GS, Sphere(shape.radius() + margin)
+        return Sphere(shape.radius() + margin)
     if isinstance(shape, Cylinder):
-        return X_GS, Cylinder(shape.radius() + margin, shape.length() + 2.0 * margin)
+        return Cylinder(shape.radius() + margin, shape.length() + 2.0 * margin)
     if isinstance(shape, Capsule):
-        return X_GS, Capsule(shape.radius() + margin, shape.length())
+        return Capsule(shape.radius() + margin, shape.length())
     if isinstance(shape, Convex | Mesh):
-        box = CalcObb(shape)
-        return box.pose(), Box(2.0 * (box.half_width() + margin))
+        return _enlarged_hull(shape, margin)
     raise unsupported_shape(shape, name)
+
+
+def _enlarged_hull(shape: Convex | Mesh, margin: float) -> Convex:
+    """Returns the Minkowski sum of a mesh's convex hull and a cube with half edge `margin`, m."""
+    hull = shape.GetConvexHull()
+    vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+    corners = margin * np.array(list(product((-1.0, 1.0), repeat=3)))
+    points = (vertices[:, None] + corners).reshape(-1, 3)
+    text = "".join(f"v {x:.9f} {y:.9f} {z:.9f}\n" for x, y, z in points)
+    return Convex(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "enlarged hull")))

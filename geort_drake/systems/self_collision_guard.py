@@ -73,8 +73,8 @@ class SelfCollisionGuard(PeriodicCorrection):
             raise HandError(
                 f"the hand must start with {1e3 * clearance:g} mm between its parts; at the initial "
                 f"positions it has {1e3 * near.gap[closest]:.1f} mm between '{first}' and '{second}' (a mesh "
-                "counts as the box around its hull); in the hand's description, change default_positions or "
-                "list the two under ignored_collisions"
+                "counts as its convex hull); lower the clearance or, in the hand's description, change "
+                "default_positions or list the two under ignored_collisions"
             )
 
     def guarded(self, command: np.ndarray, clear: np.ndarray) -> np.ndarray:
