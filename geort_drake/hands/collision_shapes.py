@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 # For corrections: random postures, and those of them in which a pair must be near.
 POSTURES, NEAR_POSTURES = 600, 5
 NEAR, FAR = 0.003, 0.02  # m; a pair is near up to the first distance, and is measured up to the second
+QUANTILE = 1 / 3  # of the differences; the median misses twice as many collisions
 
 
 def collision_shapes(hand: HandModel) -> "CollisionShapes":
@@ -92,7 +93,7 @@ def _corrections(
 ) -> np.ndarray:
     """Returns (P,) the difference, m, between Drake's distance and the gap of each pair with a mesh.
 
-    It is the median over the random postures in which the pair is near.
+    It is exceeded in two thirds of the random postures in which the pair is near.
 
     Args:
         source: (S,) the geometry of each shape.
@@ -115,12 +116,14 @@ def _corrections(
             number = columns.get(frozenset((found.id_A, found.id_B)))
             if number is not None:
                 distances[row, number] = min(found.distance, FAR)
-    rows, pairs, near = CollisionGaps(hand.kinematics(), shapes).near(torch.tensor(q).float(), FAR)
-    np.minimum.at(gaps, (rows.numpy(), column[pairs.numpy()]), near.numpy())
-    difference = np.ma.masked_where(np.minimum(distances, gaps) > NEAR, distances - gaps)
-    difference[:, difference.count(0) < NEAR_POSTURES] = np.ma.masked
-    median = np.ma.median(difference, axis=0).filled(0.0)
-    return np.where(is_mesh[shapes.pairs].any(1), median[column], 0.0)
+    rows, pairs, gap = CollisionGaps(hand.kinematics(), shapes).near(torch.tensor(q).float(), FAR)
+    np.minimum.at(gaps, (rows.numpy(), column[pairs.numpy()]), gap.numpy())
+    near = np.minimum(distances, gaps) < NEAR
+    known = near.sum(0) >= NEAR_POSTURES
+    correction = np.zeros(len(columns))
+    difference = np.where(near, distances - gaps, np.nan)[:, known]
+    correction[known] = np.nanquantile(difference, QUANTILE, axis=0)
+    return np.where(is_mesh[shapes.pairs].any(1), correction[column], 0.0)
 
 
 def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:
