@@ -71,6 +71,19 @@ def test_training_finds_the_planted_map():
     assert np.median(np.linalg.norm(answers(result.network) - PLANTED, axis=-1)) < 0.02
 
 
+def test_a_pinch_out_of_the_robots_reach_does_not_spoil_the_map():
+    """The index finger is half a metre away; the other pinches close, and steps are followed."""
+    thumb, index, middle = HAND.fingers
+    X_PJ = index.X_PJ.copy()
+    X_PJ[0, 1, 3] = 0.5
+    hand = dataclasses.replace(HAND, fingers=(thumb, dataclasses.replace(index, X_PJ=X_PJ), middle))
+    history = train_coupled(toy_data(hand, HUMAN), QUICK).history
+    last = {name: np.mean([row[name] for row in history[-10:]]) for name in history[-1]}
+    assert last["direction"] < 0.15 and last["track"] < 0.15
+    assert last["open_pinch"] < 0.5
+    assert last["coverage"] < 0.5 * history[0]["coverage"]
+
+
 def universal(seed: int) -> dict[str, np.ndarray]:
     """A small map of the Allegro hand for several people."""
     hand, config = HandModel("allegro_right"), CoupledConfig(steps=4)

@@ -54,6 +54,7 @@ class TrainingPeople:
         codes: (N, K, C) K codes of each person; C is 0 for a map that needs none.
         reach: (N, F) number of places that a fingertip visits, over the average person's; at most 1.
         anchors: (N, F, ANCHORS) frames, drawn uniformly over the finger's visited voxels.
+        closable: (P,) whether the robot's tips of each pair can touch; it is not asked for other pinches.
         pinch_frames: number of frames with a pinch.
     """
 
@@ -89,6 +90,7 @@ class TrainingPeople:
         self._first, self._second = torch.tensor(self.pairs, device=device).reshape(-1, 2).long().T
         self.p_HF, self.anchors = torch.tensor(p_HF, device=device), torch.tensor(anchors, device=device)
         self.codes, self.reach = codes.to(device), reach.to(device)
+        self.closable = torch.ones(len(self.pairs), dtype=torch.bool, device=device)
         self._distances = self.pair_distances(self.p_HF)
         nearest = self._distances.min(-1).values
         self._pinching = [torch.nonzero(row < PINCH_M)[:, 0] for row in nearest]
@@ -116,6 +118,7 @@ class TrainingPeople:
         offset = self._offset(count, STEPS)
         recorded, recorded_pair, recorded_pinched = self._recorded_pinches(people)
         synthetic, synthetic_pair, synthetic_pinched = self._synthetic_pinches(people)
+        pinch_pair = torch.cat([recorded_pair, synthetic_pair], 1)
         return Hands(
             codes,
             moved=hands + self._offset(count, MOVED),
@@ -124,8 +127,8 @@ class TrainingPeople:
             before=self.p_HF[rows, start] + offset,
             after=self.p_HF[rows, start + lag] + offset,
             pinching=torch.cat([recorded, synthetic], 1),
-            pinch_pair=torch.cat([recorded_pair, synthetic_pair], 1),
-            pinched=torch.cat([recorded_pinched, synthetic_pinched], 1),
+            pinch_pair=pinch_pair,
+            pinched=torch.cat([recorded_pinched, synthetic_pinched], 1) & self.closable[pinch_pair],
         )
 
     def draw_people(self, count: int) -> torch.Tensor:

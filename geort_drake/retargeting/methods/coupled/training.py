@@ -184,10 +184,12 @@ class _Training:
         collisions are ignored."""
         self.network, self.people, self.kinematics, self.config = network, people, kinematics, config
         with torch.no_grad():
-            tips = kinematics.fingertips(q).numpy()
+            tips = kinematics.fingertips(q)
+        nearest = people.pair_distances(tips.to(people.device)).amin(0)
+        people.closable = nearest < 2.0 * kinematics.tip_radius
         voxels = [
-            torch.tensor(voxel_centres(tips[:, i], ROBOT_VOXEL), dtype=torch.float32, device=people.device)
-            for i in range(tips.shape[1])
+            torch.tensor(voxel_centres(tip.numpy(), ROBOT_VOXEL), dtype=torch.float32, device=people.device)
+            for tip in tips.unbind(1)
         ]
         self.collisions = None
         if shapes is not None:
