@@ -22,6 +22,7 @@ from geort_drake.retargeting.methods.coupled.population import code_people, like
 from geort_drake.retargeting.methods.coupled.training import train_universal
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes
 from geort_drake.retargeting.training.human_data import pinch_pairs
+from geort_drake.retargeting.training.kinematics import HandKinematics
 
 KEYPOINTS = [4, 8, 12]
 QUICK = CoupledConfig(steps=150)
@@ -184,15 +185,24 @@ def test_a_perfect_map_violates_nothing():
     hands = people.draw(4)
     d = torch.nn.functional.one_hot(hands.finger, 4)[..., None] * hands.d[:, :, None]
     tips = RobotTips(hands.moved, hands.moved + d, hands.moved - d, hands.before, hands.after, hands.pinching)
-    figures = {
-        name: float(figure) for name, (_, figure) in constraint_terms(hands, tips, people, 0.012).items()
-    }
+    allegro = HandModel("allegro_right").kinematics()
+
+    def figures_of(tips: RobotTips, hand: HandKinematics) -> dict[str, float]:
+        return {
+            name: float(figure) for name, (_, figure) in constraint_terms(hands, tips, people, hand).items()
+        }
+
+    figures = figures_of(tips, allegro)
     for name in ("direction", "track", "cross_talk", "curvature", "uneven", "open_pinch", "false_pinch"):
         assert figures[name] < 1e-3, name
-    still = RobotTips(*(torch.zeros_like(part) for part in vars(tips).values()))
-    terms = constraint_terms(hands, still, people, 0.012)
-    assert float(terms["direction"][1]) == pytest.approx(1.0)
-    assert float(terms["deep_pinch"][1]) == 1.0 and float(terms["false_pinch"][1]) == 1.0
+    still = figures_of(RobotTips(*(torch.zeros_like(part) for part in vars(tips).values())), allegro)
+    assert still["direction"] == pytest.approx(1.0)
+    assert still["deep_pinch"] == 1.0 and still["false_pinch"] == 1.0
+    # Fingertips on lines follow one component of each motion: all that a finger with one joint can do.
+    lines = RobotTips(*(part * torch.tensor([0.0, 0.0, 1.0]) for part in vars(tips).values()))
+    chains = [dataclasses.replace(chain, joint_names=chain.joint_names[:1]) for chain in allegro.fingers]
+    assert figures_of(lines, allegro)["uneven"] > 0.2
+    assert figures_of(lines, dataclasses.replace(allegro, fingers=chains))["uneven"] < 0.1
 
 
 def test_likely_plays_are_those_of_the_persons_hand():

@@ -15,6 +15,7 @@ from geort_drake.retargeting.methods.coupled.people import (
     TrainingPeople,
     of_finger,
 )
+from geort_drake.retargeting.training.kinematics import HandKinematics
 
 # Distances in fingertip radii; two tips touch at a distance of 2.
 PINCH_TARGET, PINCH_SCALE = 0.875, 0.667
@@ -22,6 +23,7 @@ DEEP, DEEP_MARGIN = 0.333, 0.5
 FALSE_MARGIN = 0.25
 SCALE = 0.4  # unit of the depths of deep and false pinches
 GAIN_BAND = 0.6  # permitted deviation of the logarithm of the gain from its median
+LEAST_COMPONENT = 0.1  # fraction of a motion that counts where a fingertip cannot follow it
 STEP_RANGE = (0.001, 0.03)  # m; shorter steps are noise, longer ones gaps
 
 
@@ -41,7 +43,7 @@ class RobotTips:
 
 
 def constraint_terms(
-    hands: Hands, robot: RobotTips, people: TrainingPeople, tip_radius: float
+    hands: Hands, robot: RobotTips, people: TrainingPeople, kinematics: HandKinematics
 ) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
     """Returns loss and figure of each constraint except collision, by the names in `CoupledConfig`.
 
@@ -55,8 +57,9 @@ def constraint_terms(
         "track": _same_figure(mean(_track(hands, robot))),
         "cross_talk": _same_figure(mean(_cross_talk(motion, hands.finger))),
         "curvature": _same_figure(_curvature(hands, robot, own)),
-        "uneven": _unevenness(own, hands.d),
+        "uneven": _unevenness(own, hands, kinematics),
     }
+    tip_radius = kinematics.tip_radius
     distance = people.pair_distances(robot.pinching) / tip_radius
     pinched = distance.gather(-1, hands.pinch_pair[..., None])[..., 0]
     weight = hands.pinched.float()
@@ -97,9 +100,20 @@ def _curvature(hands: Hands, robot: RobotTips, own: torch.Tensor) -> torch.Tenso
     return (second.square().sum(-1).mean(1) / (own.square().sum(-1).mean(1) + 1e-12)).mean()
 
 
-def _unevenness(own: torch.Tensor, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Returns the mean excess of log gain over the band around a person's median, and its frequency."""
-    gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / d.square().sum(-1))
+def _unevenness(
+    own: torch.Tensor, hands: Hands, kinematics: HandKinematics
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Returns the mean excess of log gain over the band around a person's median, and its frequency.
+
+    A fingertip with fewer than three joints moves on a curve or a surface. Its gain refers to the component
+    of d along its motion.
+    """
+    step = hands.d.square().sum(-1)
+    few = torch.tensor([len(chain.joint_names) < 3 for chain in kinematics.fingers], device=own.device)
+    if few.any():
+        along = (own * hands.d).sum(-1).square() / (own.square().sum(-1) + 1e-10)
+        step = torch.where(few[hands.finger], torch.maximum(along, LEAST_COMPONENT**2 * step), step)
+    gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / step)
     excess = torch.relu((gain - gain.detach().median(1, keepdim=True).values).abs() - GAIN_BAND)
     return excess.mean(), (excess > 0).float().mean()
 

@@ -221,7 +221,7 @@ class _Training:
         robot = self._robot_tips(hands)
         if robot is None:
             return torch.tensor(math.nan), {}
-        terms = constraint_terms(hands, robot, self.people, self.kinematics.tip_radius)
+        terms = constraint_terms(hands, robot, self.people, self.kinematics)
         losses = {name: loss for name, (loss, _) in terms.items()}
         figures = {name: figure for name, (_, figure) in terms.items()}
         if self.collisions is not None:
