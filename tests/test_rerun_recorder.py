@@ -132,9 +132,11 @@ def test_rerun_switched_off_writes_nothing_and_says_so(tmp_path, monkeypatch):
 
 
 def test_a_file_is_written_when_the_process_ends_without_close(tmp_path):
-    """Also after an uncaught exception."""
+    """Also after an uncaught exception; without a sample, an earlier file stays."""
+    (tmp_path / "earlier.rrd").write_text("earlier")
     code = f"""
 from rerun_world import World
+World().finalize().record({str(tmp_path / "earlier.rrd")!r})
 world = World().finalize().record({str(tmp_path / "exit.rrd")!r})
 world.simulator.AdvanceTo(0.1)
 raise SystemExit("no close")
@@ -144,6 +146,7 @@ raise SystemExit("no close")
     assert "no close" in done.stderr
     times, _ = read(tmp_path / "exit.rrd", "/world/ball/body", "Transform3D:translation")
     assert times[-1] == pytest.approx(0.1)
+    assert (tmp_path / "earlier.rrd").read_text() == "earlier"
 
 
 def test_going_back_in_time_starts_over_from_there(tmp_path):
@@ -282,7 +285,10 @@ def laid_out(monkeypatch):
 
 
 def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
-    """Commanded and measured values share a plot; fingers are in their order; contact comes first."""
+    """Commanded and measured values share a plot; fingers are in their order; contact comes first.
+
+    The eye is so far away that Rerun's 55 degrees contain the tube, which extends 0.22 m from its origin.
+    """
     world = World().finalize()
     q, torque = constant(world.builder, [1, 2]), constant(world.builder, [0.1, 0.2])
     names = ["index/a", "thumb/b"]
@@ -296,6 +302,9 @@ def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
     assert plots == ["contact force [N]", "thumb [rad]", "index [rad]", "all [N m]"]
     assert [laid_out[title][0] for title in plots] == ["angles"] * 3 + ["torques"]
     assert laid_out["thumb [rad]"][1].contents == ["/joints/command/thumb", "/joints/measured/thumb"]
+    eye = laid_out["scene"][1].properties["EyeControls3D"]
+    ends = [field.as_arrow_array().to_pylist()[0] for field in (eye.position, eye.look_target)]
+    assert np.linalg.norm(np.subtract(*ends)) > 0.22 / np.sin(np.radians(27.5))
 
 
 def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
@@ -340,6 +349,7 @@ def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
     recorder = add_rerun_recorder(
         outer, world.plant, world.scene_graph, tmp_path / "in.rrd", plant_ports=ports, period=0.1
     )
+    add_rerun_recorder(outer, world.plant, world.scene_graph, tmp_path / "2.rrd", plant_ports=ports)
     simulator = Simulator(outer.Build())
     with recorder:
         simulator.AdvanceTo(0.3)

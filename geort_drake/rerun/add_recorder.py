@@ -110,7 +110,8 @@ def add_rerun_recorder(
         viewers=viewers,
         properties=properties or {},
     )
-    recorder.set_name("rerun_recorder")
+    taken = builder.HasSubsystemNamed("rerun_recorder")
+    recorder.set_name(f"rerun_recorder_{len(builder.GetSystems())}" if taken else "rerun_recorder")
     builder.AddSystem(recorder)
     for name, source in sources.items():
         builder.Connect(source, recorder.GetInputPort(name))

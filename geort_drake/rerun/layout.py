@@ -119,7 +119,8 @@ class Layout:
         cloud = cloud[np.isfinite(cloud).all(axis=1)]
         low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
         target = (low + high) / 2
-        distance = 0.17 + 0.78 * float(np.linalg.norm(high - low))
+        # The second bound shows a single large body whole.
+        distance = max(0.17 + 0.78 * float(np.linalg.norm(high - low)), 2.2 * self.scene.reach)
         return target, target + distance * self.view_from / np.linalg.norm(self.view_from)
 
 

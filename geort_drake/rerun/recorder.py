@@ -29,7 +29,7 @@ class RerunRecorder(LeafSystem):
     Use `add_rerun_recorder` to make and connect it. It samples in periodic and forced publish events. If time
     goes back, it drops the samples from that time on. Viewers get the samples in batches. `flush` and `close`
     write the file atomically. Leaving the recorder as a context manager closes it, even after an error, and
-    so does the end of the process.
+    so does the end of the process if there are samples.
 
     Input ports (a shared one is declared once):
         body_poses (abstract list of RigidTransform): X_WB of all bodies, in plant order.
@@ -82,7 +82,7 @@ class RerunRecorder(LeafSystem):
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
         self.DeclareForcedPublishEvent(self._sample)
         # Registered after Rerun's own handler, so it runs before Rerun shuts down.
-        atexit.register(self.close)
+        atexit.register(self._close_at_end)
 
     def set_properties(self, properties: Mapping[str, Property]) -> None:
         """Adds properties to the file, such as an outcome that is known only at the end."""
@@ -111,7 +111,7 @@ class RerunRecorder(LeafSystem):
         """
         if self._closed:
             return
-        atexit.unregister(self.close)
+        atexit.unregister(self._close_at_end)
         self.flush()
         self._closed = True
         if self._live is not None:
@@ -124,6 +124,11 @@ class RerunRecorder(LeafSystem):
 
     def __exit__(self, *_exception: object) -> None:
         self.close()
+
+    def _close_at_end(self) -> None:
+        # A failure before the simulation must not replace an earlier file.
+        if not self._closed and self._samples:
+            self.close()
 
     def _sample(self, context: Context) -> EventStatus:
         if self._closed:

@@ -55,6 +55,7 @@ class Scene:
         anchored: X_WB of the drawn bodies that are welded to the world, by index.
         shapes: entity path and archetype of each geometry.
         body_of_geometry: body index of each proximity geometry.
+        reach: largest distance of a moving body's geometry from the body's origin, m.
     """
 
     paths: list[str]
@@ -62,6 +63,7 @@ class Scene:
     anchored: dict[int, RigidTransform] = field(default_factory=dict)
     shapes: list[tuple[str, rr.AsComponents]] = field(default_factory=list)
     body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
+    reach: float = 0.0
 
     def write(self, writer: Writer) -> None:
         """Sends the shapes and the fixed poses."""
@@ -115,6 +117,7 @@ def describe_scene(
             scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)
         else:
             scene.moving.append(index)
+            scene.reach = max([scene.reach, *(_reach(inspector, geometry) for geometry in geometries)])
     return scene
 
 
@@ -146,6 +149,21 @@ def _body_path(plant: MultibodyPlant, body: RigidBody) -> str:
         return "/environment"
     model = plant.GetModelInstanceName(body.model_instance())
     return entity_path(*model.split("::"), body.name())
+
+
+def _reach(inspector: SceneGraphInspector, geometry: GeometryId) -> float:
+    """Returns the radius, m, of a sphere around the body's origin that contains the geometry's box.
+
+    It is 0 for a half space, and for a mesh that Drake cannot read.
+    """
+    try:
+        box = inspector.GetObbInGeometryFrame(geometry)
+    except RuntimeError:
+        box = None
+    if box is None:
+        return 0.0
+    p_BC = inspector.GetPoseInFrame(geometry) @ box.center()
+    return float(np.linalg.norm(p_BC) + np.linalg.norm(box.half_width()))
 
 
 def _draw(
