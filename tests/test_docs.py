@@ -293,7 +293,10 @@ def test_commands_run(chain, tiny_work, capsys):
 
 @pytest.mark.slow
 def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, monkeypatch):
-    """They can be exported; an interruption in the first trial leaves an earlier run as it was."""
+    """They can be exported; an interruption in the first trial leaves an earlier run as it was.
+
+    The next run replaces them, but no other files.
+    """
 
     def one_trial(scenario, *arguments):
         with pytest.raises(OutputError, match="another process"), locked("stopped"):
@@ -314,6 +317,9 @@ def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, m
     assert Path("stopped/interrupted/cylinder-1.rrd").is_file()
     assert run_command("export", ["stopped", "stopped_table"]) == 0
     assert [path.name for path in Path("stopped_table/frames").iterdir()] == ["cylinder-0.parquet"]
+    Path("stopped/mine.rrd").touch()
+    assert run_command("grasp", ["--objects", "cube", *shlex.split(line)[2:-2]]) == 0
+    assert sorted(path.name for path in Path("stopped").glob("*.rrd")) == ["cube-0.rrd", "mine.rrd"]
 
 
 def test_every_command_is_run():

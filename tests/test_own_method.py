@@ -1,6 +1,7 @@
 """Methods of one's own: a Python file, how it is called, its faults; and a module of a trained method."""
 
 import copy
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from geort_drake.errors import BenchmarkError, MethodError
 from geort_drake.hands.urdf import hand_urdf
 from geort_drake.retargeting import methods
 from geort_drake.retargeting.checkpoint import load_checkpoint
+from geort_drake.retargeting.map_file import load_map, shipped_maps
 from geort_drake.simulation.scenario import dump_scenario
 
 FILE = """
@@ -109,15 +111,24 @@ def patient(monkeypatch):
 
 
 @pytest.mark.usefixtures("patient")
-def test_a_benchmark_keeps_its_file_and_refuses_another(tmp_path, play):
-    """A folder's trials are of one method."""
-    arguments = (load_scenario(text=TOO_SHORT), play, [str(tmp_path / "mine.py")], ["cylinder"], 1)
+def test_a_benchmark_keeps_its_files_and_refuses_others(tmp_path, play):
+    """A folder's trials are of one method. A start that failed before its configuration binds nobody."""
+    mine, own_map, kept = tmp_path / "mine.py", tmp_path / "my.safetensors", tmp_path / "run/methods"
+    arguments = (load_scenario(text=TOO_SHORT), play, [str(mine), str(own_map)], ["cylinder"], 1)
+    before = load_map(shipped_maps()["allegro_right"])
+    before.save(own_map)
     own(tmp_path)
     benchmark = open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
-    assert list(benchmark.methods) == ["mine.py"] and (tmp_path / "run/methods/mine.py").is_file()
-    own(tmp_path, "q = q + 0.1")
-    with pytest.raises(BenchmarkError, match=r"mine\.py\.weights_sha256"):
+    assert list(benchmark.methods) == ["mine.py", "my.safetensors"]
+    replace(before, provenance={"another": "person"}).save(own_map)
+    with pytest.raises(BenchmarkError, match=r"my\.safetensors has changed.*has a copy"):
         open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
+    own(tmp_path, "q = q + 0.1")
+    with pytest.raises(BenchmarkError, match=r"mine\.py has changed.*has a copy"):
+        open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
+    (tmp_path / "run/config.json").unlink()
+    open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
+    assert all((kept / path.name).read_bytes() == path.read_bytes() for path in (mine, own_map))
 
 
 def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):

@@ -91,7 +91,7 @@ def test_sessions_are_replayed_under_every_change_and_gone_on_with(light_benchma
     assert "| 20 | 2 | 0 % [0, 66] |" in (folder / "report.md").read_text()
     assert (folder / "success.svg").read_text().startswith("<svg")
     (tmp_path / "map" / replay.WEIGHTS).write_bytes(b"another map")
-    with pytest.raises(BenchmarkError, match="begun with another weights_sha256"):
+    with pytest.raises(BenchmarkError, match="begun with another weights; use the same, or"):
         run_command("replay", [*common, "--trials", "2"])
 
 

@@ -107,9 +107,11 @@ def require_same(path: Path, stored: dict[str, Any], given: dict[str, Any], with
         if isinstance(before, dict) and isinstance(now, dict):
             require_same(path, before, now, f"{within}{field}.")
         elif before != now:
+            name, digest, _ = f"{within}{field}".partition("_sha256")
             raise BenchmarkError(
-                f"{path}: this benchmark was begun with another {within}{field}: {before}, not {now}; "
-                "use the same value, or choose another folder"
+                f"{path}: this benchmark was begun with another {name}"
+                + ("" if digest else f": {before}, not {now}")
+                + "; use the same, or choose another folder"
             )
 
 

@@ -23,7 +23,6 @@ from geort_drake.benchmark.config import (
     GraspConfig,
     continue_config,
     read_config,
-    require_same,
 )
 from geort_drake.benchmark.methods import make_retargeter, measure_latency
 from geort_drake.benchmark.records import Record, TrialKey, key_of, read_records
@@ -175,17 +174,20 @@ def open_benchmark(
         config["notes"] = stored["notes"]
     ready = {}
     for name in [*names, *made]:
+        begun = name in config["methods"]
         retarget, digest = made.get(name) or make_retargeter(
-            name, names[name], folder / METHODS, scenario.hand, hand, recording, seed
+            name, names[name], folder / METHODS, scenario.hand, hand, recording, seed, begun
         )
-        if name not in config["methods"]:
+        if not begun:
             latency = 0.0 if zero_latency else (latencies or {}).get(name)
             latency = measure_latency(retarget, recording) if latency is None else latency
             config["methods"][name] = {"weights_sha256": digest, "latency_s": latency}
         known = config["methods"][name]
-        require_same(
-            path, {"weights_sha256": known["weights_sha256"]}, {"weights_sha256": digest}, f"{name}."
-        )
+        if known["weights_sha256"] != digest:
+            raise BenchmarkError(
+                f"{path}: {name} has changed since its first trial; undo the change "
+                f"({folder / METHODS} has a copy of the original), or choose another folder"
+            )
         ready[name] = (retarget, known["latency_s"])
     if config != stored:
         write_text(folder / SCENARIO, text)

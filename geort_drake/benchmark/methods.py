@@ -15,7 +15,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import WEIGHTS
 from geort_drake.retargeting.map_file import SUFFIX
 from geort_drake.retargeting.method import Retarget
-from geort_drake.retargeting.methods import shipped_methods, trained_methods
+from geort_drake.retargeting.methods import all_methods, shipped_methods
 from geort_drake.retargeting.retargeter import UniversalRetargeter
 
 # Number of parts of the recording, successive frames per part, and untimed frames at the start of a part.
@@ -23,9 +23,18 @@ _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
 def make_retargeter(
-    name: str, method: str, keep: Path, hand_name: str, hand: HandModel, recording: Recording, seed: int
+    name: str,
+    method: str,
+    keep: Path,
+    hand_name: str,
+    hand: HandModel,
+    recording: Recording,
+    seed: int,
+    begun: bool = False,
 ) -> tuple[Retarget, str | None]:
     """Returns a retargeter, and the digest of its weights or None if it has learned nothing.
+
+    A method with a name is loaded from its copy, if there is one. A path is always loaded itself.
 
     Args:
         name, method: an item of `names_of`.
@@ -34,33 +43,32 @@ def make_retargeter(
         hand: model of the robot hand.
         recording: training data, or frames for an untrained method.
         seed: seed of the first training, or of an untrained method's random samples.
+        begun: whether the benchmark has trials of the method, so that its copy must stay.
 
     Raises:
         UnknownNameError, CheckpointError, TrainingError: see `retargeter_of`.
         MethodError: see `OwnMethod.check`.
     """
-    if Path(method).suffix == PYTHON_SUFFIX:
-        kept = keep / name
-        OwnMethod(Path(method), hand_name).check(recording.p_HK[recording.valid][0])
-        if not kept.is_file():
-            with atomic_path(kept) as draft:
-                shutil.copyfile(method, draft)
-        return OwnMethod(kept, hand_name), sha256_of(method)
-    is_map = method in shipped_methods() or Path(method).suffix == SUFFIX
+    given, named = Path(method), method in all_methods()
+    is_map = method in shipped_methods() or given.suffix == SUFFIX
     kept = (keep / name).with_suffix(SUFFIX) if is_map else keep / name
-    again = kept.exists() and (is_map or method in trained_methods())
-    retarget, path = retargeter_of(
-        str(kept) if again else method, hand, recording, seed + training_of(name)[1]
-    )
+    retarget: Retarget
+    path: Path | None
+    if given.suffix == PYTHON_SUFFIX:
+        OwnMethod(given, hand_name).check(recording.p_HK[recording.valid][0])
+        retarget, path = OwnMethod(kept, hand_name), given
+    else:
+        load = str(kept) if named and kept.exists() else method
+        retarget, path = retargeter_of(load, hand, recording, seed + training_of(name)[1])
     if path is None:
         return retarget, None
-    if is_map and not kept.is_file():
-        with atomic_path(kept) as draft:
-            shutil.copyfile(path, draft)
-    elif not kept.exists():
-        with atomic_directory(kept) as draft:
-            shutil.copytree(path, draft, dirs_exist_ok=True)
-    return retarget, sha256_of(path if is_map else path / WEIGHTS)
+    if not kept.exists() or not (named or begun):
+        with atomic_directory(kept) if path.is_dir() else atomic_path(kept) as draft:
+            if path.is_dir():
+                shutil.copytree(path, draft, dirs_exist_ok=True)
+            else:
+                shutil.copyfile(path, draft)
+    return retarget, sha256_of(path / WEIGHTS if path.is_dir() else path)
 
 
 def measure_latency(retarget: Retarget, recording: Recording) -> float:

@@ -3,7 +3,7 @@
 Without arguments, a simulated person grasps three objects with a Panda and an Allegro hand, through the
 universal map, and a table shows the outcomes. A method that needs training is first trained on the person's
 hand motion. The output folder gets results.json, the scenario, and for each trial a Rerun recording (.rrd)
-and the glove and tracker data (.npz).
+and the glove and tracker data (.npz), which replace those of an earlier run.
 """
 
 import argparse
@@ -156,8 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
                 show,
             )
             if not results:
-                # An earlier run's results are removed first, because they had another scenario.
-                (arguments.output / RESULTS).unlink(missing_ok=True)
+                _remove_run(arguments.output)
                 # The first trial's scenario; the others differ in object and seed, which are in results.json.
                 write_text(arguments.output / SCENARIO, dump_scenario(scenario))
             _keep_recording(recorded, arguments.output)
@@ -210,6 +209,17 @@ def scenarios_of(
             check_scenario(scenario)
             scenarios.append(scenario)
     return scenarios
+
+
+def _remove_run(folder: Path) -> None:
+    """Removes the results of an earlier run and the files of its trials, which had another scenario."""
+    results = folder / "results.json"
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # no results, or damaged ones
+        names = {f"{trial['object']}-{trial['seed']}" for trial in json.loads(results.read_bytes())["trials"]}
+        for path in (*folder.glob("*.rrd"), *folder.glob("*.glove.npz")):
+            if path.name.partition(".")[0] in names:
+                path.unlink()
+    results.unlink(missing_ok=True)
 
 
 def _keep_recording(recorded: Path, folder: Path) -> None:
