@@ -179,7 +179,7 @@ def test_the_report_sets_people_beside_the_simulated_person(tmp_path, light_benc
     assert summary["people"]["universal map"]["success"]["rate"] == 0.0  # it took longer than the timeout
     assert summary["simulated"]["hold"]["wrist_speed"]["mean"] > 0.0
     for name in ("report.md", "report.html"):
-        assert "1 people, universal map" in (tmp_path / "run" / name).read_text()
+        assert "real (1), universal map" in (tmp_path / "run" / name).read_text()
     shutil.rmtree(tmp_path / "study")
     assert run_command("benchmark", [*options, "--report"]) == 0
-    assert "people, universal" not in (tmp_path / "run" / "report.md").read_text()
+    assert "), universal" not in (tmp_path / "run" / "report.md").read_text()

@@ -185,7 +185,7 @@ def open_benchmark(
         known = config["methods"][name]
         if known["weights_sha256"] != digest:
             raise BenchmarkError(
-                f"{path}: {name} has changed since its first trial; undo the change "
+                f"{path}: {name} has changed since this benchmark was begun; undo the change "
                 f"({folder / METHODS} has a copy of the original), or choose another folder"
             )
         ready[name] = (retarget, known["latency_s"])

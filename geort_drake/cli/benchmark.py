@@ -234,7 +234,7 @@ def run_unfinished(arguments: argparse.Namespace, scenarios: "dict[Path, Scenari
             latencies |= {name: latency for name, (_, latency) in benchmark.methods.items()}
             keys = benchmark.keys(names, cases[path], arguments.trials)
             left = log.unfinished(keys)
-            say(f"{len(keys)} trials, {len(keys) - len(left)} already finished")
+            say(f"trials: {len(keys)}, already finished: {len(keys) - len(left)}")
             if not left:
                 continue
             jobs, backend = min(arguments.jobs, len(left)), arguments.backend

@@ -11,12 +11,12 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     from geort_drake.console import print_table, warn
 
     folder, errors = arguments.output, summary["errors"]
-    # Narrow enough for 80 columns; otherwise words would be cut.
-    headings = ("method", "first\nattempt", "95 %", "success", "tip-only", "mean\ntime", "difference")
+    # Narrow enough for 80 columns with the names of our methods; otherwise words would be cut.
+    headings = ("method", "first\nattempt", "95 %", "success", "tip-only", "mean\ntime", "to\nfirst")
     caption = (
         "first attempt: lifted and held without a second attempt; tip-only: only fingertips touched the held "
-        "object; mean time: failures count as the timeout; difference: of first-attempt success to the first "
-        "method, %"
+        "object; mean time: failures count as the timeout; to first: difference of first-attempt success to the "
+        "first method, %"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
     if summary["people"]:
@@ -33,7 +33,7 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
             counted = ", ".join(f"{number} {kind}" for kind, number in faults.items())
             warn(f"faulty outputs of {name}; the joints held, or stayed at their limits: {counted}")
     if errors:
-        warn(f"{errors} trials raised an error: see {folder / 'errors'}")
+        warn(f"trials that raised an error: {errors}; see {folder / 'errors'}")
     write_json(arguments.json, summary)
     finish({"Report": f"{folder / 'report.html'} (open it in a browser)"})
     return 1 if errors else 0
@@ -57,7 +57,7 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
     caption = "score: from 0 to 1, mean with its 95 % interval"
     print_table(("task", "person", "method", "score", "95 %", "success"), rows, "Tasks", caption)
     if summary["errors"]:
-        warn(f"{summary['errors']} trials raised an error: see the errors/ folders in {arguments.output}")
+        warn(f"trials that raised an error: {summary['errors']}; see the errors/ folders in {arguments.output}")
     write_json(arguments.json, summary)
     finish({"Summary": f"{arguments.output / 'summary.json'}"})
     return 1 if summary["errors"] else 0
@@ -85,7 +85,7 @@ def _rows(summary: dict) -> Iterator[list[str]]:
 
 def _people_rows(summary: dict) -> Iterator[list[str]]:
     """Yields a row per map of real people and per method of the simulated person."""
-    rows = {f"{figures['persons']} people, {name}": figures for name, figures in summary["people"].items()}
+    rows = {f"real ({figures['persons']}), {name}": figures for name, figures in summary["people"].items()}
     rows |= {f"simulated, {name}": figures for name, figures in summary["simulated"].items()}
 
     def mean(value: dict, form: str) -> str:

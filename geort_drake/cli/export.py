@@ -57,7 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
             done = write_parquet(episodes, output)
         names = list(track("exporting", done, None))
     write_json(arguments.json, {"format": arguments.format, "output": str(output), "episodes": names})
-    results = {"Exported": f"{output} ({len(names)} episodes)"}
+    results = {"Exported": f"{output} (episodes: {len(names)})"}
     if arguments.format == "parquet":
         results["Read it"] = f'pyarrow.dataset.dataset("{output / "frames"}").to_table()'
     finish(results, None if arguments.format == "parquet" else view(output))

@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         replay.open(arguments.output)
         keys = replay.keys()
         left = log.unfinished(keys)
-        say(f"{len(keys)} trials, {len(keys) - len(left)} already finished")
+        say(f"trials: {len(keys)}, already finished: {len(keys) - len(left)}")
         if left:
             jobs = min(arguments.jobs, len(left))
             records = run_trials(log, map(replay.trial, left), jobs, arguments.backend)
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
     summary = write_replay_report(arguments.output)
     print_table(("change", "size", "success", "95 %"), _rows(summary), "Replayed sessions")
     if summary["errors"]:
-        warn(f"{summary['errors']} trials raised an error: see {arguments.output}/errors")
+        warn(f"trials that raised an error: {summary['errors']}; see {arguments.output}/errors")
     write_json(arguments.json, summary)
     finish({"Report": arguments.output / MARKDOWN})
     return 1 if summary["errors"] else 0

@@ -76,6 +76,6 @@ def _people(arguments: argparse.Namespace) -> int:
         person = sample_person(arguments.seed, number)
         recording = person.record(arguments.duration, arguments.rate, arguments.side)
         recording.save(folder / f"person_{number:03d}.npz")
-    results = {"Recordings": f"{folder} ({arguments.people} people)"}
+    results = {"Recordings": f"{folder} (people: {arguments.people})"}
     finish(results, command("check-recording", folder / "person_000.npz"))
     return 0
