@@ -317,6 +317,7 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("grasp --hand @/weightless.yaml", ["'weightless': joints that move no mass", "thumb_j1", ".urdf"]),
         ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
         ("convert @/good.npy file/out.npz", ["file", "directory"]),
+        ("convert @/no_wrist.npz @/no_wrist.npz --mirror", ["no_wrist.npz: choose another file"]),
         ("check-recording @/no_wrist.npz --side left", ["no_wrist.npz", "right hand", "left one"]),
         ("explore --output e.rrd --duration 1000", ["--duration must be from 0.1 to 600, not 1000"]),
         ("explore --output e.rrd --methods magic", ["'magic'", "geort"]),

@@ -119,7 +119,9 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
         warn(str(finding))
     missing = [motion for motion in result["coverage"] if not motion["enough"]]
     for motion in missing:
-        say("insufficient: {motion}: {seen:.0f} {unit}, required {required:.0f}".format(**motion))
+        # Rounded down, because 6.9 of 7 degrees are not enough.
+        seen = int(motion["seen"])
+        say("insufficient: {motion}: {0} {unit}, required {required:.0f}".format(seen, **motion))
     count = len(result["coverage"])
     say(f"coverage: {count - len(missing)} of {count} motions that training needs")
     say(f"verdict: {result['verdict']}" + ("" if result["fit_for_training"] else "; not fit for training"))
@@ -154,7 +156,7 @@ def _print_coverage(arguments: argparse.Namespace) -> bool:
     rows = [
         (
             f"[{'green' if motion.enough else 'red'}]{motion.name}[/]",
-            f"{motion.seen:.0f} {motion.unit}",
+            f"{int(motion.seen)} {motion.unit}",
             f"{motion.required:.0f}",
             "" if motion.enough else motion.advice,
         )

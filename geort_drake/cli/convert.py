@@ -9,6 +9,7 @@ import argparse
 
 from geort_drake.cli import check_recording
 from geort_drake.cli.options import CommandParser, output_file
+from geort_drake.errors import UsageError
 
 EPILOG = check_recording.EPILOG
 
@@ -21,4 +22,6 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
+    if arguments.output.resolve() == arguments.input.resolve():
+        raise UsageError(f"{arguments.output}: choose another file than the recording itself")
     return check_recording.run(arguments)

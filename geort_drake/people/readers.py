@@ -176,6 +176,6 @@ def _without_duplicates(source: Source, p_WK: np.ndarray, t: np.ndarray) -> np.n
 def _require_side(path: Path, given: str | None, expected: str) -> None:
     if given is not None and given != expected:
         raise RecordingError(
-            f"{path}: the file contains a {given} hand, a {expected} one was requested; convert it with "
-            f"--side {given} --mirror"
+            f"{path}: the file contains a {given} hand, a {expected} one was requested; give --side {given}, "
+            f"or convert it with --side {given} --mirror"
         )
