@@ -129,7 +129,7 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
 
 def _watch(arguments: argparse.Namespace) -> None:
     """Shows the motions that a growing file lacks until none is missing, or Ctrl-C."""
-    seen = None
+    seen: int | None = -1  # so that a missing file is reported too
     with contextlib.suppress(KeyboardInterrupt):
         while True:
             stamp = arguments.input.stat().st_mtime_ns if arguments.input.exists() else None
