@@ -15,8 +15,8 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     headings = ("method", "first\nattempt", "95 %", "success", "tip-only", "mean\ntime", "to\nfirst")
     caption = (
         "first attempt: lifted and held without a second attempt; tip-only: only fingertips touched the held "
-        "object; mean time: failures count as the timeout; to first: difference of first-attempt success to the "
-        "first method, %"
+        "object; mean time: failures count as the timeout; to first: difference of first-attempt success to "
+        "the first method, %"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
     if summary["people"]:
@@ -57,7 +57,7 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
     caption = "score: from 0 to 1, mean with its 95 % interval"
     print_table(("task", "person", "method", "score", "95 %", "success"), rows, "Tasks", caption)
     if summary["errors"]:
-        warn(f"trials that raised an error: {summary['errors']}; see the errors/ folders in {arguments.output}")
+        warn(f"trials that raised an error: {summary['errors']}; see errors/ in {arguments.output}/*/*")
     write_json(arguments.json, summary)
     finish({"Summary": f"{arguments.output / 'summary.json'}"})
     return 1 if summary["errors"] else 0
