@@ -109,10 +109,10 @@ def _unevenness(
     of d along its motion.
     """
     step = hands.d.square().sum(-1)
-    few = torch.tensor([len(chain.joint_names) < 3 for chain in kinematics.fingers], device=own.device)
-    if few.any():
+    few_joints = torch.tensor([len(chain.joint_names) < 3 for chain in kinematics.fingers], device=own.device)
+    if few_joints.any():
         along = (own * hands.d).sum(-1).square() / (own.square().sum(-1) + 1e-10)
-        step = torch.where(few[hands.finger], torch.maximum(along, LEAST_COMPONENT**2 * step), step)
+        step = torch.where(few_joints[hands.finger], torch.maximum(along, LEAST_COMPONENT**2 * step), step)
     gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / step)
     excess = torch.relu((gain - gain.detach().median(1, keepdim=True).values).abs() - GAIN_BAND)
     return excess.mean(), (excess > 0).float().mean()
