@@ -328,6 +328,7 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("live --port 99999", ["--port", "a port from 0 to 65535, not '99999'"]),
         ("live --glove @/no_wrist.npz --record @/no_wrist.npz", ["no_wrist.npz exists; choose another file"]),
         ("live --glove nowhere.npz", ["nowhere.npz: no such file"]),
+        ("live --record file/runs", ["file/runs: file is not a directory"]),
         ("live --glove lcm --robot lcm --meshcat", ["--meshcat shows the simulation"]),
         ("live --glove lcm --robot real", ["address 'real': give one of"]),
         ("live --glove lcm --robot lcm+udpm://10.0.0.1:7667?ttl=0", ["GROUP from 224"]),

@@ -293,10 +293,7 @@ def test_commands_run(chain, tiny_work, capsys):
 
 @pytest.mark.slow
 def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, monkeypatch):
-    """They can be exported; an interruption in the first trial leaves an earlier run as it was.
-
-    The next run replaces them, but no other files.
-    """
+    """They can be exported; an interrupted first trial leaves an earlier run, and a whole one replaces it."""
 
     def one_trial(scenario, *arguments):
         with pytest.raises(OutputError, match="another process"), locked("stopped"):

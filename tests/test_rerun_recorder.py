@@ -285,10 +285,7 @@ def laid_out(monkeypatch):
 
 
 def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
-    """Commanded and measured values share a plot; fingers are in their order; contact comes first.
-
-    The eye is so far away that Rerun's 55 degrees contain the tube, which extends 0.22 m from its origin.
-    """
+    """Commanded and measured values share a plot; fingers are in their order; contact comes first."""
     world = World().finalize()
     q, torque = constant(world.builder, [1, 2]), constant(world.builder, [0.1, 0.2])
     names = ["index/a", "thumb/b"]
@@ -302,6 +299,7 @@ def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):
     assert plots == ["contact force [N]", "thumb [rad]", "index [rad]", "all [N m]"]
     assert [laid_out[title][0] for title in plots] == ["angles"] * 3 + ["torques"]
     assert laid_out["thumb [rad]"][1].contents == ["/joints/command/thumb", "/joints/measured/thumb"]
+    # Rerun's 55 degrees contain the tube, which extends 0.22 m from its origin.
     eye = laid_out["scene"][1].properties["EyeControls3D"]
     ends = [field.as_arrow_array().to_pylist()[0] for field in (eye.position, eye.look_target)]
     assert np.linalg.norm(np.subtract(*ends)) > 0.22 / np.sin(np.radians(27.5))

@@ -245,14 +245,23 @@ def test_signals_are_grouped_by_the_part_before_the_slash_and_may_be_derived(tmp
 
 
 def test_states_are_written_where_they_change(tmp_path):
-    """Codes become names; a code without a name shows as a number."""
+    """Codes become names; a code without a name shows as a number. One's own spec may have rows of text."""
+
+    class Text(StateSpec):
+        def read(self, value):
+            return str(value[0])
+
+        def write(self, writer, key, rows):
+            super().write(writer, key, [float(row) for row in rows])
+
     world = World().finalize()
     port = steps(world.builder, [0, 0.1, 0.2, 0.3, 1], [[0, 0, 1, 7, 7]])
-    phase = StateSpec(port, ["reach", "grasp"])
-    world.record(tmp_path / "p.rrd", specs={"phase": phase}, period=0.05, until=0.4)
-    times, states = read(world.recorder.path, "/phase", "StateChange:state")
-    np.testing.assert_allclose(times, [0, 0.2, 0.3], atol=1e-9)
-    assert [state[0] for state in states] == ["reach", "grasp", "code 7"]
+    specs = {key: kind(port, ["reach", "grasp"]) for key, kind in (("phase", StateSpec), ("text", Text))}
+    world.record(tmp_path / "p.rrd", specs=specs, period=0.05, until=0.4)
+    for path in ("/phase", "/text"):
+        times, states = read(world.recorder.path, path, "StateChange:state")
+        np.testing.assert_allclose(times, [0, 0.2, 0.3], atol=1e-9)
+        assert [state[0] for state in states] == ["reach", "grasp", "code 7"]
 
 
 def test_the_hand_is_drawn_where_it_is_tracked(tmp_path, rng):
@@ -311,26 +320,17 @@ def test_points_follow_the_frame_they_are_measured_in_and_keep_their_colours(tmp
     np.testing.assert_allclose(sizes[-1], np.full((2, 3), 0.02), rtol=1e-6)
 
 
+TOO_MANY_VALUES = r"derive makes \(1, 2\) of \(1, 2\) values; expected \(1, 1\)"
+
+
 @pytest.mark.parametrize(
     ("key", "spec", "message"),
     [
         ("q", lambda b: SignalSpec(constant(b, [1, 2]), ["a"]), "size 2, but 1 names"),
-        (
-            "x",
-            lambda b: SignalSpec(pose_source(b, RigidTransform()), ["a"]),
-            "is abstract; expected a vector",
-        ),
-        (
-            "q",
-            lambda b: SignalSpec(constant(b, [1, 2]), ["a"], derive=lambda x: x),
-            r"derive makes \(1, 2\) of \(1, 2\) values; expected \(1, 1\)",
-        ),
+        ("x", lambda b: SignalSpec(pose_source(b, RigidTransform()), ["a"]), "is abstract; expected a vec"),
+        ("q", lambda b: SignalSpec(constant(b, [1, 2]), ["a"], derive=np.copy), TOO_MANY_VALUES),
         ("h/wrist_pose", lambda b: HandSpec(constant(b, [0] * 63), constant(b, [0])), "RigidTransform"),
-        (
-            "c",
-            lambda b: CloseUpSpec("left", (1, 0, 0)),
-            "follows the hand 'left'; the recorded hands are: none",
-        ),
+        ("c", lambda _: CloseUpSpec("left", (1, 0, 0)), "the hand 'left'; the recorded hands are: none"),
     ],
 )
 def test_ports_that_do_not_fit_are_refused(tmp_path, key, spec, message):

@@ -10,6 +10,7 @@ from geort_drake.cli.live_session import checkpoint_of, load, print_keys, print_
 from geort_drake.cli.options import finish, view, write_json
 from geort_drake.console import console
 from geort_drake.errors import UsageError
+from geort_drake.files import require_writable
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
@@ -35,6 +36,8 @@ def run_web(
     """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
     if arguments.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
+    if arguments.record:
+        require_writable(arguments.record, directory=True)
     if lcm_url:
         _confirm_real_robot()
     checkpoint = checkpoint_of(arguments, description)

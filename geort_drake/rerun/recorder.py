@@ -188,5 +188,7 @@ class RerunRecorder(LeafSystem):
             digest.update(repr(self._inputs[key]).encode())
             for row in rows:
                 for part in row if isinstance(row, tuple) else (row,):
-                    digest.update(part if isinstance(part, bytes) else np.asarray(part, float).tobytes())
+                    content = part.encode() if isinstance(part, str) else part
+                    is_bytes = isinstance(content, bytes)
+                    digest.update(content if is_bytes else np.asarray(content, float).tobytes())
         return digest.hexdigest()[:32]

@@ -37,7 +37,10 @@ class Spec:
         raise NotImplementedError
 
     def read(self, *values: Any) -> Any:
-        """Makes a row from the values of the ports, which it must copy."""
+        """Makes a row from the values of the ports, which it must copy.
+
+        A row is an array, a number, a text, bytes, or a tuple of these.
+        """
         raise NotImplementedError
 
     def write(self, writer: Writer, key: str, rows: Sequence) -> None:
