@@ -96,19 +96,14 @@ def test_methods_objects_and_conditions_can_be_added(copy):
     assert run(copy, *more) == 0
     records = read_records(copy / "trials.jsonl")
     assert records[:4] == before
-    assert [str(key_of(record)) for record in records[4:]] == [
-        "affine_ik sphere 0",
-        "hold cylinder 0 delay=0",
-        "hold cylinder 0 stiffness=2",
-    ]
+    new = ["affine_ik sphere 0", "hold cylinder 0 delay=0", "hold cylinder 0 stiffness=2"]
+    assert [str(key_of(record)) for record in records[4:]] == new
     config = read_config(copy)
     assert list(config["methods"]) == ["hold", "nearest_neighbour", "affine_ik"]
     assert config["objects"] == ["cylinder", "sphere"] and config["trials"] == 2
     assert config["methods"]["hold"]["latency_s"] == 0.0123
-    assert config["conditions"] == {
-        "delay=0": {"operator": {"visual_delay": 0.0}},
-        "stiffness=2": {"hand_stiffness_factor": 2.0},
-    }
+    changes = {"delay=0": {"operator": {"visual_delay": 0.0}}, "stiffness=2": {"hand_stiffness_factor": 2.0}}
+    assert config["conditions"] == changes
     summary = json.loads((copy / "summary.json").read_text())
     assert summary["methods"]["affine_ik"]["objects"]["sphere"]["trials"] == 1
     assert summary["methods"]["hold"]["overall"]["trials"] == 2

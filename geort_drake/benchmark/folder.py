@@ -151,9 +151,9 @@ def open_benchmark(
     texts = {name: dump_scenario(changed) for name, changed in (conditions or {}).items()}
     config: dict[str, Any] = {
         "settings": {
+            "training_seed": seed,  # compared first, because synthetic play depends on it
             "recording_sha256": recording.digest,
             "operator_sha256": (operator or recording).digest,
-            "training_seed": seed,
             "latency": "zero" if zero_latency else "measured",
             "scenario": resolved,
             **simulation_settings(hand),
