@@ -6,6 +6,7 @@ Exit codes: 0 usable, perhaps with warnings; 2 refused.
 """
 
 import argparse
+import os
 
 from geort_drake.cli import check_recording
 from geort_drake.cli.options import CommandParser, output_file
@@ -22,6 +23,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    if arguments.output.resolve() == arguments.input.resolve():
+    # Path.resolve raises an error for a link to itself.
+    if os.path.realpath(arguments.output) == os.path.realpath(arguments.input):
         raise UsageError(f"{arguments.output}: choose another file than the recording itself")
     return check_recording.run(arguments)
