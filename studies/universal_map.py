@@ -58,14 +58,15 @@ def people_of(
 def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("map", type=Path)
+    parser.add_argument("--hand", help="name or file of the robot hand (default: the first of the map)")
     parser.add_argument("--people", type=int, default=12)
     parser.add_argument("--duration", type=float, default=60.0, help="duration of each person's play, s")
     parser.add_argument("--recordings", nargs="*", type=Path, default=[])
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(argv)
     file = load_map(arguments.map)
-    hand = HandModel(load_hand(next(iter(file.hands))))
-    retarget, space = load_retargeter(arguments.map), robot_space(hand)
+    hand = HandModel(load_hand(arguments.hand or next(iter(file.hands))))
+    retarget, space = load_retargeter(arguments.map, hand), robot_space(hand)
     rows: dict[float, dict[str, list[float]]] = {seconds: {} for seconds in SECONDS}
     training = file.training
     for name, recording in people_of(arguments, training["people"], training["seed"], hand.description.side):
