@@ -23,7 +23,7 @@ DEEP, DEEP_MARGIN = 0.333, 0.5
 FALSE_MARGIN = 0.25
 SCALE = 0.4  # unit of the depths of deep and false pinches
 GAIN_BAND = 0.6  # permitted deviation of the logarithm of the gain from its median
-LEAST_COMPONENT = 0.1  # fraction of a motion that counts where a fingertip cannot follow it
+LEAST_COSINE = 0.3  # between a motion and that of a fingertip with few joints, if it can follow
 STEP_RANGE = (0.001, 0.03)  # m; shorter steps are noise, longer ones gaps
 
 
@@ -106,16 +106,20 @@ def _unevenness(
     """Returns the mean excess of log gain over the band around a person's median, and its frequency.
 
     A fingertip with fewer than three joints moves on a curve or a surface. Its gain refers to the component
-    of d along its motion.
+    of d along its motion; motions that it hardly follows do not count.
     """
-    step = hands.d.square().sum(-1)
+    gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / hands.d.square().sum(-1))
     few_joints = torch.tensor([len(chain.joint_names) < 3 for chain in kinematics.fingers], device=own.device)
+    counted = None
     if few_joints.any():
-        along = (own * hands.d).sum(-1).square() / (own.square().sum(-1) + 1e-10)
-        step = torch.where(few_joints[hands.finger], torch.maximum(along, LEAST_COMPONENT**2 * step), step)
-    gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / step)
+        limited = few_joints[hands.finger]
+        along = cosine_similarity(own, hands.d, dim=-1, eps=1e-7)
+        gain = torch.where(limited, gain - torch.log(along.clamp(min=LEAST_COSINE)), gain)
+        counted = ~limited | (along > LEAST_COSINE)
     excess = torch.relu((gain - gain.detach().median(1, keepdim=True).values).abs() - GAIN_BAND)
-    return excess.mean(), (excess > 0).float().mean()
+    if counted is None:
+        return excess.mean(), (excess > 0).float().mean()
+    return _mean(excess, counted), _mean(excess > 0, counted)
 
 
 def _false_pinches(
