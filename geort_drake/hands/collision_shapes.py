@@ -99,9 +99,9 @@ def _corrections(
         source: (S,) the geometry of each shape.
         is_mesh: (S,) whether it is a mesh.
     """
-    import torch
+    import torch  # takes a second
 
-    from geort_drake.retargeting.training.collision_geometry import CollisionGaps  # loads PyTorch
+    from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 
     q = hand.sample(POSTURES)
     # The parts of a geometry share its columns.
