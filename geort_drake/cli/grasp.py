@@ -213,7 +213,9 @@ def scenarios_of(
 
 def _remove_run(folder: Path) -> None:
     """Removes the results of an earlier run and the files of its trials, which had another scenario."""
-    results = folder / "results.json"
+    from geort_drake.export.episode import RESULTS
+
+    results = folder / RESULTS
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # no results, or damaged ones
         names = {f"{trial['object']}-{trial['seed']}" for trial in json.loads(results.read_bytes())["trials"]}
         for path in (*folder.glob("*.rrd"), *folder.glob("*.glove.npz")):
