@@ -4,9 +4,9 @@ python -m studies.predictors --output runs/predictors --tasks keys grasp --objec
 python -m studies.predictors --output runs/predictors --report
 
 Maps are 96 distortions of the universal map, whose causes are known, and others: methods, checkpoints,
-distorted affine maps, and the universal map made for other people. Simulated people of kind servo try all
-maps, the other kinds a balanced half. Trials of distorted maps come first, seed by seed, so that every prefix
-is balanced; the same command resumes.
+distorted affine maps, and the universal map made for other people. Trials of distorted maps come first, seed
+by seed, and each seed begins with a balanced half of the maps, so that every prefix is balanced; the same
+command resumes.
 """
 
 import argparse
@@ -59,12 +59,11 @@ METHODS = ("universal", "affine_ik", "vector_online", "dexpilot_online", "neares
 
 
 class Place(NamedTuple):
-    """A task with one kind of person: its results file, its benchmark, its goals and the maps tried."""
+    """A task with one kind of person: its results file, its benchmark and its goals."""
 
     log: TrialLog
     benchmark: Benchmark
     goals: dict[str, list]
-    maps: list[str]
 
 
 def make_maps(hand: HandModel, recording: Recording, methods: Sequence[str]) -> dict[str, dict[str, Any]]:
@@ -123,8 +122,6 @@ def run(arguments: argparse.Namespace) -> None:
     maps = make_maps(hand, recording, list(names.values()))
     made = {name: (each["map"], each["digest"]) for name, each in maps.items() if "map" in each}
     latencies = {name: each["latency"] for name, each in maps.items() if "latency" in each}
-    others = [name for name, each in maps.items() if "levels" not in each]
-    balanced = half(design()) + others[::2]
     with contextlib.ExitStack() as stack:
         places = []
         for task in map(find_task, arguments.tasks):
@@ -147,9 +144,9 @@ def run(arguments: argparse.Namespace) -> None:
                     refused = {name: each for name, each in found.items() if isinstance(each, str)}
                     goals = {name: each for name, each in found.items() if not isinstance(each, str)}
                 note_refused(benchmark, refused)
-                places.append(Place(log, benchmark, goals, list(maps) if kind == SERVO else balanced))
+                places.append(Place(log, benchmark, goals))
         note(arguments.output / MAPS, maps, places[0].benchmark)
-        queue = order(places, arguments.trials)
+        queue = order(places, list(maps), half(design()), arguments.trials)
         say(f"{len(queue)} trials are unfinished")
         in_time = (each for each in queue if time.monotonic() - started < arguments.budget)
         handed: list[tuple[Place, TrialKey]] = []
@@ -166,18 +163,19 @@ def run(arguments: argparse.Namespace) -> None:
         measure(arguments.output / MAPS, places[0].benchmark, recording)
 
 
-def order(places: Sequence[Place], trials: int) -> list[tuple[Place, TrialKey]]:
+def order(
+    places: Sequence[Place], maps: Sequence[str], first: Sequence[str], trials: int
+) -> list[tuple[Place, TrialKey]]:
     """The unfinished trials: those of designed maps seed by seed, and then of the others.
 
-    Each seed begins with the maps that all kinds of people try; maps are in random order.
+    Each seed begins with the maps `first`; otherwise maps are in random order.
     """
     by_map: dict[tuple, list[tuple[Place, TrialKey]]] = {}
     designed = design()
     for place in places:
-        for key in place.log.unfinished(place.benchmark.keys(place.maps, place.goals, trials)):
-            tried = sum(key.method in other.maps for other in places)
+        for key in place.log.unfinished(place.benchmark.keys(maps, place.goals, trials)):
             drawn = np.random.default_rng([key.seed, *key.method.encode()]).random()
-            rank = key.method not in designed, key.seed, -tried, drawn, key.method
+            rank = key.method not in designed, key.seed, key.method not in first, drawn, key.method
             by_map.setdefault(rank, []).append((place, key))
     return [each for rank in sorted(by_map) for each in by_map[rank]]
 

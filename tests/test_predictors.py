@@ -37,7 +37,7 @@ def tips(how, p_HF):
 
 
 def test_the_design_is_balanced_and_its_factors_are_orthogonal():
-    """So is the half that other kinds of people try."""
+    """So is the half with which each seed begins."""
     for names in (list(RUNS), half(RUNS)):
         chosen = np.array([RUNS[name] for name in names])
         assert (chosen.sum(axis=0) == 0).all()
@@ -171,17 +171,18 @@ def test_reliability_is_the_share_that_repeats(rng):
 
 
 def test_every_prefix_of_the_trials_is_balanced_and_finished_ones_are_left_out(tmp_path):
-    """Seed by seed; a map has all its tasks before the next one begins."""
-    places = []
-    for name, maps in (("servo", ["a", "b", "c", "d"]), ("mimicry", ["a", "c"])):
+    """Seed by seed, a half of the maps first; a map has all its tasks before the next one begins."""
+    places, maps, half_of_them = [], ["a", "b", "c", "d"], ["b", "c"]
+    for name in ("servo", "mimicry"):
         config = {"settings": {"scenario": {"random_seed": 0}}}
         benchmark = Benchmark(tmp_path, config, "", None, {}, {})
-        places.append(Place(TrialLog(tmp_path / f"{name}.jsonl"), benchmark, {"x": [], "y": []}, maps))
-    queue = order(places, 3)
-    assert len(queue) == len({(place.log.path, key) for place, key in queue}) == 3 * 2 * (4 + 2)
+        places.append(Place(TrialLog(tmp_path / f"{name}.jsonl"), benchmark, {"x": [], "y": []}))
+    queue = order(places, maps, half_of_them, 3)
+    assert len(queue) == len({(place.log.path, key) for place, key in queue}) == 3 * 2 * 2 * 4
     assert [key.seed for _, key in queue] == sorted(key.seed for _, key in queue)
     blocks = [key.method for _, key in queue if key.seed == 1]
-    assert blocks == sorted(blocks, key=blocks.index) and set(blocks) == {"a", "b", "c", "d"}
+    assert blocks == sorted(blocks, key=blocks.index) and set(blocks) == set(maps)
+    assert set(blocks[: len(blocks) // 2]) == set(half_of_them)
     for place, key in queue[:7]:
         place.log.append(
             {"method": key.method, "object": key.object, "seed": key.seed, "error": "", "traceback": ""}
@@ -189,9 +190,9 @@ def test_every_prefix_of_the_trials_is_balanced_and_finished_ones_are_left_out(t
     for place in places:
         place.log.close()
     places = [place._replace(log=TrialLog(place.log.path)) for place in places]
-    assert len(order(places, 3)) == 36  # errors are repeated
+    assert len(order(places, maps, half_of_them, 3)) == 48  # errors are repeated
     finished = [place._replace(log=SimpleNamespace(unfinished=lambda keys: keys[1:])) for place in places]
-    left = order(finished, 3)
-    assert len(left) == 34 and TrialKey("a", "x", 0) not in {key for _, key in left}
+    left = order(finished, maps, half_of_them, 3)
+    assert len(left) == 46 and TrialKey("a", "x", 0) not in {key for _, key in left}
     for place in places:
         place.log.close()
