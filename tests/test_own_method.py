@@ -112,16 +112,20 @@ def patient(monkeypatch):
 
 @pytest.mark.usefixtures("patient")
 def test_a_benchmark_keeps_its_files_and_refuses_others(tmp_path, play):
-    """A folder's trials are of one method. A start that failed before its configuration binds nobody."""
-    mine, own_map, kept = tmp_path / "mine.py", tmp_path / "my.safetensors", tmp_path / "run/methods"
-    arguments = (load_scenario(text=TOO_SHORT), play, [str(mine), str(own_map)], ["cylinder"], 1)
-    before = load_map(shipped_maps()["allegro_right"])
+    """A folder's trials are of one method. A start that failed before its configuration binds nobody.
+
+    A user's map may be named like the shipped one.
+    """
+    mine, own_map, kept = tmp_path / "mine.py", tmp_path / "universal.safetensors", tmp_path / "run/methods"
+    arguments = (load_scenario(text=TOO_SHORT), play, [str(mine), str(own_map), "universal"], ["cylinder"], 1)
+    shipped = shipped_maps()["allegro_right"]
+    before = load_map(shipped)
     before.save(own_map)
     own(tmp_path)
     benchmark = open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
-    assert list(benchmark.methods) == ["mine.py", "my.safetensors"]
+    assert list(benchmark.methods) == ["mine.py", "universal.safetensors", "universal"]
     replace(before, provenance={"another": "person"}).save(own_map)
-    with pytest.raises(BenchmarkError, match=r"my\.safetensors has changed.*has a copy"):
+    with pytest.raises(BenchmarkError, match=r"universal\.safetensors has changed.*has a copy"):
         open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
     own(tmp_path, "q = q + 0.1")
     with pytest.raises(BenchmarkError, match=r"mine\.py has changed.*has a copy"):
@@ -129,6 +133,7 @@ def test_a_benchmark_keeps_its_files_and_refuses_others(tmp_path, play):
     (tmp_path / "run/config.json").unlink()
     open_benchmark(tmp_path / "run", *arguments, zero_latency=True)
     assert all((kept / path.name).read_bytes() == path.read_bytes() for path in (mine, own_map))
+    assert (kept / "shipped/universal.safetensors").read_bytes() == shipped.read_bytes()
 
 
 def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):

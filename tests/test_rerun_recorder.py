@@ -338,6 +338,7 @@ def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
         ({}, r"no\.rrd: 'body_poses'.*ExportOutput.*plant_ports=\{'body_poses'"),
         ({"body_poses": "body_poses"}, "'contact_results': .* is not in the diagram"),
         ({"body_poses": "contact_results", "contact_results": "contact_results"}, "does not give body_poses"),
+        ({"body_poses": "body_poses", "contacts": "contact_results"}, "nothing is recorded from contacts"),
     ):
         given = {name: robot.GetOutputPort(port) for name, port in ports.items()}
         with pytest.raises(ScenarioError, match=message):

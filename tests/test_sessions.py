@@ -145,6 +145,7 @@ def test_people_are_told_apart_by_folder_and_maps_by_name(tmp_path):
     guided = session()
     del guided.metadata["consent"]
     guided.save(tmp_path / "p1" / "guided.npz")
+    (tmp_path / "p1" / ".unfinished.npz").touch()
     people = read_people(tmp_path)
     assert len(people) == 6
     trials = [

@@ -50,8 +50,8 @@ def make_retargeter(
         MethodError: see `OwnMethod.check`.
     """
     given, named = Path(method), method in all_methods()
-    is_map = method in shipped_methods() or given.suffix == SUFFIX
-    kept = (keep / name).with_suffix(SUFFIX) if is_map else keep / name
+    # In a folder of its own, because a user's file may have the same name.
+    kept = keep / "shipped" / f"{name}{SUFFIX}" if method in shipped_methods() else keep / name
     retarget: Retarget
     path: Path | None
     if given.suffix == PYTHON_SUFFIX:

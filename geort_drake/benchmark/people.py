@@ -39,7 +39,7 @@ def read_people(folder: Path) -> list[Record]:
         RecordingError: a file is not a recording.
     """
     records: list[Record] = []
-    for path in sorted(folder.rglob("*.npz")):
+    for path in sorted(folder.rglob("[!.]*.npz")):  # a hidden file is an unfinished one
         recording = Recording.load(path)
         if not recording.metadata.get("consent"):
             continue  # such as guided play

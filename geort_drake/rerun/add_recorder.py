@@ -83,8 +83,11 @@ def add_rerun_recorder(
     recorded: dict[str, Spec] = {"body_poses": Poses(scene), "contact_results": Contacts(scene, contact)}
     recorded |= specs or {}
 
+    unused = dict(plant_ports or {})
+
     def plant_port(name: str) -> OutputPort:
         own = plant.GetOutputPort(name)
+        unused.pop(name, None)
         port = (plant_ports or {}).get(name, own)
         if type(port.Allocate()) is not type(own.Allocate()):
             raise ScenarioError(f"{where}: plant_ports: {port_name(port)} does not give {name}")
@@ -99,6 +102,11 @@ def add_rerun_recorder(
             # A port that several specs share is read once.
             inputs[key].append(names.setdefault((port.get_system(), int(port.get_index())), name))
             sources.setdefault(inputs[key][-1], port)
+    if unused:
+        raise ScenarioError(
+            f"{where}: plant_ports: nothing is recorded from {', '.join(unused)}; "
+            "the recorder reads body_poses and contact_results"
+        )
     _check_connectable(where, builder, sources)
     recorder = RerunRecorder(
         None if path is None else Path(path),
