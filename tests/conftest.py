@@ -1,6 +1,7 @@
 """Fixtures shared by the tests: seeded generators, and real recordings where they are at hand."""
 
 import functools
+import gc
 import shutil
 from pathlib import Path
 
@@ -9,6 +10,12 @@ import pydrake.common.deprecation  # noqa: F401  (registers its warning class fo
 import pytest
 
 GLOVE_DIR = Path(__file__).resolve().parents[2] / "shared" / "glove"
+
+
+def pytest_collection_finish() -> None:
+    """Keeps what the modules have imported out of the collections of garbage that every trial makes."""
+    gc.collect()
+    gc.freeze()
 
 
 def _recording_file(name: str) -> Path:

@@ -44,11 +44,18 @@ def alone(short):
     return results
 
 
-def results_of(trials, jobs: int, backend: str = "loky") -> list[dict]:
-    """The trials' results in their order, without the time they took."""
-    done = call_in_workers(simulate, ((each,) for each in trials), jobs, backend)
+def simulated(trial: Trial) -> tuple[int, dict]:
+    """The process, and the trial's result without the time it took."""
+    return os.getpid(), judged(simulate(trial))
+
+
+def results_of(trials: list[Trial], jobs: int, backend: str = "loky") -> tuple[set[int], list[dict]]:
+    """The processes that worked, and the trials' results in their order."""
+    processes, done = zip(
+        *call_in_workers(simulated, ((each,) for each in trials), jobs, backend), strict=True
+    )
     order = [each.key for each in trials]
-    return sorted(map(judged, done), key=lambda result: order.index(key_of(result)))
+    return {*processes}, sorted(done, key=lambda result: order.index(key_of(result)))
 
 
 def test_other_processes_give_the_same_results(short, alone):
@@ -58,7 +65,7 @@ def test_other_processes_give_the_same_results(short, alone):
     touched = judged(simulate(grasp))
     # Small differences would grow in contact.
     assert {"TOUCH", "GRASP"} <= touched["phase_times"].keys() and touched["peak_force"] > 0.1
-    assert results_of([grasp, *short], jobs=2) == [touched, *alone]
+    assert results_of([grasp, *short], jobs=2)[1] == [touched, *alone]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -80,8 +87,8 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
     monkeypatch.setattr(workers, "TASKS_PER_WORKER", 1)
     ray.init(num_cpus=2, include_dashboard=False, runtime_env=environment, log_to_driver=False)
     try:
-        assert results_of(short, 2, "ray") == alone
-        assert len(set(call_in_workers(os.getpid, ((),) * 3, 2, "ray"))) == 3
+        processes, results = results_of([*short, short[1]], 2, "ray")
+        assert results == [*alone, alone[1]] and len(processes) == 3
         with pytest.raises(BenchmarkError, match="--jobs 3: the Ray cluster has 2 CPUs"):
             results_of(short, 3, "ray")
     finally:

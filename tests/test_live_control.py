@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from grasp_setup import plan_once
 from live_messages import PLAY, headset, known, station
 from loop_bench import LoopBench
 
@@ -30,7 +31,7 @@ from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record
 from geort_drake.live.web.personal_map import DONE, PersonalMap
 from geort_drake.rerun.reader import read_samples
 from geort_drake.simulation.scenario import parse_scenario
-from geort_drake.simulation.tasks import task_names
+from geort_drake.simulation.tasks import find_task, task_names
 from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
 from geort_drake.simulation.world import draw_placement
 
@@ -105,8 +106,9 @@ def test_a_held_fist_engages_and_disengages_unless_it_is_asked_for_or_grasps(tmp
     ("task", "text"),
     [("keys", "{ready_time: 0.5}"), ("trigger", "{ready_time: 0.3, settle_time: 0.2, handle_shift: 1.0}")],
 )
-def test_a_task_begins_when_the_person_engages(tmp_path, task, text):
+def test_a_task_begins_when_the_person_engages(tmp_path, task, text, monkeypatch):
     """The first cue comes after the time to get ready, until which a stand holds what is handled."""
+    plan_once(monkeypatch, task)
     page = Page(tmp_path, task=task, text=f"{{task_settings: {text}}}")
     loop, context = page.bench.loop, page.bench.context
     stage = loop.simulation.stage
@@ -129,7 +131,9 @@ def test_a_task_begins_when_the_person_engages(tmp_path, task, text):
 
 
 @pytest.mark.parametrize("task", task_names())
-def test_the_page_shows_how_far_each_task_is(tmp_path, task):
+def test_the_page_shows_how_far_each_task_is(tmp_path, task, monkeypatch):
+    if hasattr(find_task(task), "planner"):
+        plan_once(monkeypatch, task)
     page = Page(tmp_path, task=task)
     page.run()
     outcome = json.loads(page.states[-1])["outcome"]

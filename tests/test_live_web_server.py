@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import trimesh
 from faults.sound import checkpoint
-from grasp_setup import plans
+from grasp_setup import plan_once
 from live_messages import headset, hello, station
 from pydrake.geometry import Mesh, Sphere
 from pydrake.math import RigidTransform
@@ -38,7 +38,7 @@ from geort_drake.live.web.serve import is_loopback, own_addresses, self_signed_c
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner, targets
+from geort_drake.simulation.tasks.tracking.planner import targets
 from geort_drake.systems.port_values import pose_to_vector
 
 KEY = "a-secret"
@@ -204,8 +204,7 @@ async def test_a_hundred_broken_connections_leave_the_server_serving():
 
 def test_the_scene_holds_every_body_that_moves_and_frames_follow_it(monkeypatch):
     """A target is its body once more, translucent: in the grip before the first cue, and then elsewhere."""
-    found = plans("tracking")
-    monkeypatch.setattr(TrackingPlanner, "plans", lambda _: found)
+    plan_once(monkeypatch, "tracking")
     scenario = load_scenario(*find_task("tracking").scenario, "{task_settings: {ready_time: 0.05}}")
     description = load_hand(scenario.hand)
     robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))

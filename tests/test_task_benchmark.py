@@ -3,19 +3,17 @@
 import json
 
 import yaml
-from grasp_setup import TOO_SHORT, plans, reach_goal
+from grasp_setup import TOO_SHORT, plan_once, reach_goal
 
 from geort_drake.cli import main
 from geort_drake.resources import models_dir
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
-from geort_drake.simulation.tasks.keys.planner import KeysPlanner
 
 
 def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark, monkeypatch):
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
     monkeypatch.setattr(GraspPlanner, "plans", lambda _: [reach_goal()])
-    found = plans("keys")
-    monkeypatch.setattr(KeysPlanner, "plans", lambda _: found)
+    plan_once(monkeypatch, "keys")
     command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
     command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]
     assert main([*command, "--trials", "1", "--tasks", "keys", "grasp", "--objects", "cylinder"]) == 0

@@ -294,7 +294,7 @@ def test_a_left_hand_has_its_place_on_the_other_side():
     assert pose_to_vector(left)[:4] == pytest.approx(pose_to_vector(right)[:4])
 
 
-KEYS = "presses: 3, enough: 3, ready_time: 4.0, cue_time: 2.0"
+KEYS = "presses: 2, enough: 2, ready_time: 3.0, cue_time: 2.0"
 
 
 PLACES = {
@@ -332,8 +332,8 @@ def test_the_mirror_has_the_same_places(task):
         ("keys", "affine_ik", "adaptive", KEYS, 1.0, 1.0),
         ("keys", "affine_ik", "mimicry", KEYS, 1.0, 1.0),
         ("keys", "hold", "servo", KEYS, 0.0, 0.0),
-        ("trigger", "affine_ik", "adaptive", "pulls: 1, ready_time: 4.0", 1.0, 1.0),
-        ("trigger", "hold", "adaptive", "pulls: 1, ready_time: 4.0", 0.0, 0.0),
+        ("trigger", "affine_ik", "adaptive", "pulls: 1, ready_time: 3.0", 1.0, 1.0),
+        ("trigger", "hold", "adaptive", "pulls: 1, ready_time: 3.0", 0.0, 0.0),
         ("cap", "affine_ik", "adaptive", "turn: 60", 1.0, 1.0),
         ("cap", "hold", "adaptive", "turn: 60", 0.0, 0.05),
         ("tracking", "affine_ik", "servo", "targets: 2, enough: 1, ready_time: 5.0", 0.5, 1.0),
@@ -343,14 +343,14 @@ def test_the_mirror_has_the_same_places(task):
 )
 def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, settings, least, most):
     """The map is affine; a hand that holds still drops what it holds once the stand lets go."""
-    timeout = "timeout: 12, " if task == "cap" else ""
+    timeout = "timeout: 8, " if task == "cap" else ""
     result, attainable = attempt(task, method, f"{{{timeout}kind: {kind}, task_settings: {{{settings}}}}}")
     assert least <= result.score <= most and result.success == (method == "affine_ik")
     lost = {"trigger": "handle lost", "tracking": "dropped"}
     assert result.outcome == "success" if result.success else result.outcome == lost.get(task, result.outcome)
     assert task != "keys" or attainable == result.success
     assert task != "cap" or not result.success or result.attempts > 1  # 60° are more than one stroke
-    assert result.simulated_time > {"trigger": 4.0, "tracking": 5.0}.get(task, 0.0)
+    assert result.simulated_time > {"trigger": 3.0, "tracking": 5.0}.get(task, 0.0)
 
 
 def test_a_person_learns_how_the_robots_fingertip_follows():
