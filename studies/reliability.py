@@ -11,6 +11,7 @@ install atheris
 
 import argparse
 import csv
+import gc
 import io
 import json
 import os
@@ -26,6 +27,7 @@ import numpy as np
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import require_writable, write_text
+from geort_drake.systems.glove_checks import GloveChecks
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT / "docs" / "results" / "data"
@@ -37,16 +39,16 @@ sys.path[:0] = [str(ROOT / name) for name in ("tests", "benchmarks", "studies")]
 from faults import disks, kills  # noqa: E402
 from faults.hostile import CASES, faults_of  # noqa: E402
 from faults.mutations import fuzz  # noqa: E402
-from faults.sound import LOWER, TIPS, UPPER, smooth_retargeter  # noqa: E402
+from faults.sound import LOWER, TIPS, UPPER, play, smooth_retargeter  # noqa: E402
 from faults.systems import (  # noqa: E402
     faulty_frames,
     fuzz_arm,
     fuzz_guard,
     fuzz_system,
-    soak,
 )
 from guided_fuzzing import fuzz_guided, require_atheris  # noqa: E402
 from side_by_side import machine  # noqa: E402
+from system_bench import Bench, Watch  # noqa: E402
 
 Report = Callable[[int, int], None]  # called with the numbers of finished and of all items
 
@@ -59,6 +61,7 @@ QUICK = {
     "updates": 5_000, "trials": 1,
 }  # fmt: skip
 GROWTH_MB, SLOW_DOWN = 10.0, 0.05
+_BLOCKS = 100  # of updates, whose times are compared
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -242,6 +245,52 @@ def updates(counts: dict, seed: int, folder: Path, report: Report) -> dict:
             failures.append(f"{name} slows down: {result}")
     report(1, 1)
     return {"of": results, "failures": failures}
+
+
+def soak(count: int) -> dict[str, dict]:
+    """Makes `count` updates of a `RetargetingSystem` and as many calls of a `Retargeter`.
+
+    Returns:
+        For each: updates; violations; us_per_update; growth_mb, growth of the resident memory after the first
+        tenth; and slow_down, the median CPU time of an update in the last tenth over that in the second, less
+        1.
+    """
+    bench, frames = Bench(checks=GloveChecks(ease_at_start=False)), play().p_HK.astype(float)
+    watch, retarget = Watch(bench.limits, bench.period), smooth_retargeter()
+
+    def update(number: int) -> int:
+        q, v, _ = bench.tick(frames[number % len(frames)], float(number % 997 > 5))
+        return len(watch.broken(q, v))
+
+    def call(number: int) -> int:
+        return int(not np.isfinite(retarget(frames[number % len(frames)]).sum()))
+
+    return {"RetargetingSystem": _measured(update, count), "Retargeter": _measured(call, count)}
+
+
+def _measured(step: Callable[[int], int], count: int) -> dict:
+    """Calls `step`, which returns the violations of an update, with the update's number."""
+    blocks = np.array_split(np.arange(count), min(_BLOCKS, count))
+    # The first tenth fills caches and pools.
+    tenth = max(1, len(blocks) // 10)
+    times, memory, violations = [], {}, 0
+    for block, numbers in enumerate(blocks, 1):
+        started = time.thread_time()
+        for number in numbers.tolist():
+            violations += step(number)
+        times.append((time.thread_time() - started) / len(numbers))
+        if block in (tenth, len(blocks)):
+            gc.collect()
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            memory[block] = pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+    early, late = np.median(times[tenth : 2 * tenth] or times), np.median(times[-tenth:])
+    return {
+        "updates": count,
+        "violations": violations,
+        "growth_mb": round(max(0.0, memory[len(blocks)] - memory[tenth]), 2),
+        "us_per_update": round(1e6 * float(np.median(times)), 1),
+        "slow_down": round(float(late / early) - 1.0, 4),
+    }
 
 
 def trials(counts: dict, seed: int, folder: Path, report: Report) -> dict:
