@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -17,35 +18,9 @@ from rerun.chunk import RrdReader
 from geort_drake import add_rerun_recorder
 
 GRAVITY = 9.81
-MASS = 0.2
+MASS = 0.2  # kg, of the ball
 
-GROUND = """
-<model name="ground"><static>true</static><link name="slab">
-  <collision name="top"><pose>0 0 -0.05 0 0 0</pose>
-    <geometry><box><size>1 1 0.1</size></box></geometry>HYDRO</collision>
-</link></model>"""
-
-BALL = f"""
-<model name="ball"><link name="body">
-  <inertial><mass>{MASS}</mass><inertia><ixx>1e-4</ixx><iyy>1e-4</iyy><izz>1e-4</izz></inertia></inertial>
-  <visual name="skin"><geometry><sphere><radius>0.05</radius></sphere></geometry>
-    <material><diffuse>0.2 0.4 0.6 1</diffuse></material></visual>
-  <collision name="solid"><geometry><sphere><radius>0.05</radius></sphere></geometry>HYDRO</collision>
-</link></model>"""
-
-ARM = """
-<model name="arm">
-  <joint name="fixed" type="fixed"><parent>world</parent><child>base</child></joint>
-  <link name="base"><pose>0.3 0 0.2 0 0 0</pose><inertial><mass>1</mass></inertial>
-    <visual name="foot"><geometry><box><size>0.1 0.2 0.3</size></box></geometry></visual></link>
-  <link name="upper"><pose>0.3 0 0.5 0 0 0</pose>
-    <inertial><mass>0.3</mass><inertia><ixx>1e-2</ixx><iyy>1e-2</iyy><izz>1e-2</izz></inertia></inertial>
-    <visual name="tube"><pose>0.01 0.02 0.1 0.3 0.2 0.1</pose>
-      <geometry><capsule><radius>0.02</radius><length>0.2</length></capsule></geometry></visual></link>
-  <joint name="shoulder" type="revolute"><parent>base</parent><child>upper</child>
-    <axis><xyz>0 1 0</xyz></axis></joint>
-</model>"""
-
+SDF = Path(__file__).with_suffix(".sdf").read_text("utf-8")
 HYDROELASTIC = """<drake:proximity_properties><drake:compliant_hydroelastic/>
   <drake:hydroelastic_modulus>1e6</drake:hydroelastic_modulus>
   <drake:mesh_resolution_hint>0.02</drake:mesh_resolution_hint></drake:proximity_properties>"""
@@ -58,11 +33,9 @@ class World:
         self.builder = DiagramBuilder()
         config = MultibodyPlantConfig(time_step=0.002, contact_model=contact_model)
         self.plant, self.scene_graph = AddMultibodyPlant(config, self.builder)
-        hydro = HYDROELASTIC if contact_model == "hydroelastic" else ""
-        for model in (GROUND, BALL, ARM):
-            sdf = model.replace("HYDRO", hydro)
-            text = f"<sdf version='1.10' xmlns:drake='http://drake.mit.edu'>{sdf}</sdf>"
-            Parser(self.plant).AddModelsFromString(text, "sdf")
+        hydroelastic = HYDROELASTIC if contact_model == "hydroelastic" else ""
+        sdf = SDF.replace("<!-- hydroelastic -->", hydroelastic)
+        Parser(self.plant).AddModelsFromString(sdf, "sdf")
         self.ball = self.plant.GetBodyByName("body")
         self.upper = self.plant.GetBodyByName("upper")
         self.height = height

@@ -2,6 +2,7 @@
 
 import sys
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -107,6 +108,8 @@ def test_the_guard_walks_towards_a_command_and_stays_clear():
 # -- policies
 
 
+# A graph with inputs `state` (1, 4) and `target` (1, 2), and one node, Identity, from target to output.
+IDENTITY = Path(__file__).with_name("identity.onnx").read_bytes()
 HALFWAY = "return 0.5 * (hand_state[:, :2] + target)"
 # Far outside the limits, and no number at all where the target is negative.
 WILD = "return torch.where(target < 0, torch.nan, 1e30 * torch.ones_like(target))"
@@ -175,7 +178,7 @@ def test_an_onnx_policy_runs(tmp_path):
     """The same through ONNX Runtime, where it is installed."""
     pytest.importorskip("onnxruntime")
     path = tmp_path / "policy.onnx"
-    path.write_bytes(IDENTITY_MODEL)
+    path.write_bytes(IDENTITY)
     policy = load_policy(path, 2)
     np.testing.assert_allclose(policy(np.array([1.0, 2, 3, 4]), np.array([0.1, 0.2])), [0.1, 0.2])
     with pytest.raises(PolicyError, match="a call with a hand state"):
@@ -183,29 +186,6 @@ def test_an_onnx_policy_runs(tmp_path):
     path.write_bytes(b"no model")
     with pytest.raises(PolicyError, match="not an ONNX model"):
         load_policy(path, 2)
-
-
-def _field(number: int, content: bytes | int | str) -> bytes:
-    """One field of a protocol buffer."""
-    if isinstance(content, int):
-        return bytes([number << 3, content])
-    content = content.encode() if isinstance(content, str) else content
-    return bytes([number << 3 | 2, len(content)]) + content
-
-
-def _tensor(name: str, size: int) -> bytes:
-    shape = b"".join(_field(1, _field(1, d)) for d in (1, size))
-    return _field(1, name) + _field(2, _field(1, _field(1, 1) + _field(2, shape)))
-
-
-# ONNX: a graph with inputs `state` (1, 4) and `target` (1, 2) and one node, Identity, from target to output.
-IDENTITY_MODEL = (
-    _field(1, 8)
-    + _field(7, _field(1, _field(1, "target") + _field(2, "answer") + _field(4, "Identity"))
-             + _field(2, "policy") + _field(11, _tensor("state", 4)) + _field(11, _tensor("target", 2))
-             + _field(12, _tensor("answer", 2)))
-    + _field(8, _field(1, "") + _field(2, 13))
-)  # fmt: skip
 
 
 def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
@@ -216,7 +196,7 @@ def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
     with pytest.raises(PolicyError, match=r"must return \(1, 2\), it returns \(1, 4\)"):
         load_policy(torchscript(tmp_path, "return hand_state"), 2)
     onnx = tmp_path / "policy.onnx"
-    onnx.write_bytes(IDENTITY_MODEL)
+    onnx.write_bytes(IDENTITY)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     with pytest.raises(PolicyError, match="needs the package onnxruntime"):
         load_policy(onnx, 2)
