@@ -87,40 +87,8 @@ TASKS = {"grasp": ["cylinder", "sphere"], "keys": ["keys"]}
 WORDS = {"grasp": "lift an object", "keys": "press a key"}
 ABOUT = RobotInfo("right", "allegro_right", "simulation", TASKS, "universal map", WORDS)
 WELCOME = OperatorStation(ABOUT).join(1) | {"role": "operator"}
-STATE = {
-    "type": "state",
-    "scene": 1,
-    "task": "grasp",
-    "object": "cylinder",
-    "time": 12.3,
-    "engaged": False,
-    "following": False,
-    "status": "held: the input has not been good for long enough",
-    "fist": 0.0,
-    "outcome": {"phase": "touch", "score": 0.2, "seconds": None, "over": False, "success": False},
-    "delay": {"count": 100, "median": 0.004, "p99": 0.012},
-    "filter_delay": 0.02,
-    "received": 100,
-    "refused": 0,
-    "late": 0,
-    "operator": True,
-    "spectators": 0,
-    "recording": None,
-    "guide": None,
-    "refit": None,
-}
-SCENE = {
-    "scene": 1,
-    "camera": {"eye": [1.0, -0.9, 0.6], "target": [0.0, 0.0, 0.2]},
-    "moving": ["hand::palm"],
-    "hand_base": {"moving": 0, "pose": [1, 0, 0, 0, 0, 0, 0]},
-    "geometries": [
-        {"moving": None, "pose": [1, 0, 0, 0, 0, 0, -0.05], "color": [0.8, 0.7, 0.6, 1], "shape": "box",
-         "size": [1.0, 1.0, 0.1]},
-        {"moving": 0, "pose": [1, 0, 0, 0, 0, 0, 0.05], "color": [0.2, 0.2, 0.2, 1], "shape": "capsule",
-         "size": [0.04, 0.1]},
-    ],
-}  # fmt: skip
+# What the server sends of a session, and its scene.
+STATE, SCENE = json.loads((WEB / "test" / "messages.json").read_text("utf-8")).values()
 
 
 @dc.dataclass

@@ -16,7 +16,7 @@ import aiohttp
 import pytest
 from live_page import FLAT, PINCH, SCENE, STATE, WEB, require_built_page, require_package, serve
 
-from geort_drake.live.web.messages import Disengage, Engage
+from geort_drake.live.web.messages import Engage
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.server import WebServer
 
@@ -32,21 +32,19 @@ class Browser:
 
     Args:
         folder: of its profile.
-        with_3d: whether it gets a display, and so WebGL.
     """
 
-    def __init__(self, folder: Path, with_3d: bool = True):
-        self._folder, self._with_3d = folder, with_3d
+    def __init__(self, folder: Path):
+        self._folder = folder
         self._processes: list[asyncio.subprocess.Process] = []
 
     async def __aenter__(self) -> "Browser":
         self._folder.mkdir()
         self._session = aiohttp.ClientSession()
         environment = dict(os.environ)
-        if self._with_3d:
-            screen = ("-displayfd", "1", "-screen", "0", "1280x800x24", "-nolisten", "tcp")
-            display = await self._run(XVFB, *screen, stdout=asyncio.subprocess.PIPE)
-            environment["DISPLAY"] = f":{(await display.stdout.readline()).decode().strip()}"
+        screen = ("-displayfd", "1", "-screen", "0", "1280x800x24", "-nolisten", "tcp")
+        display = await self._run(XVFB, *screen, stdout=asyncio.subprocess.PIPE)
+        environment["DISPLAY"] = f":{(await display.stdout.readline()).decode().strip()}"
         try:
             await self._start(environment)
         except BaseException:
@@ -78,20 +76,16 @@ class Firefox(Browser):
     """By WebDriver BiDi."""
 
     @staticmethod
-    def require(with_3d: bool = True) -> None:
-        """Skips the test where Firefox is absent, or for 3D a display without a screen."""
-        if FIREFOX is None:
-            pytest.skip("needs Firefox")
-        if with_3d and XVFB is None:
-            pytest.skip("needs Xvfb, as Firefox has no WebGL without a display")
+    def require() -> None:
+        """Skips the test where Firefox or a display without a screen is absent."""
+        if None in (FIREFOX, XVFB):
+            pytest.skip("needs Firefox, and Xvfb, as it has no WebGL without a display")
 
     async def _start(self, environment: dict[str, str]) -> None:
         self._numbers = itertools.count(1)
         # Without a GPU, Firefox draws in 3D only if it is told to.
         (self._folder / "user.js").write_text('user_pref("webgl.force-enabled", true);')
         options = ["--remote-debugging-port", "0", "--profile", self._folder, "about:blank"]
-        if not self._with_3d:
-            options.insert(0, "--headless")
         process = await self._run(FIREFOX, *options, stderr=asyncio.subprocess.PIPE, env=environment)
         while not (found := re.search(r"ws://\S+", (await process.stderr.readline()).decode())):
             assert process.returncode is None
@@ -132,7 +126,7 @@ class WebKit(Browser):
     """WebKitGTK's MiniBrowser by WebDriver."""
 
     @staticmethod
-    def require(with_3d: bool = True) -> None:
+    def require() -> None:
         """Skips the test where WebKitGTK, its driver or a display without a screen is absent."""
         if None in (WEBKIT_DRIVER, MINI_BROWSER, XVFB):
             pytest.skip("needs WebKitGTK's WebKitWebDriver and MiniBrowser, and Xvfb")
@@ -183,70 +177,25 @@ def _stroke(key: str) -> dict:
 
 # -- the page
 
-# In place of the camera: a canvas that shows the pictures in turns.
-CAMERA = """() => {
-  const canvas = Object.assign(document.createElement("canvas"), { width: 640, height: 480 });
-  const pictures = PICTURES.map((src) => Object.assign(new Image(), { src }));
-  const context = canvas.getContext("2d");
-  let number = 0;
-  setInterval(() => context.drawImage(pictures[number++ % pictures.length], 0, 0, 640, 480), 40);
-  navigator.mediaDevices.getUserMedia = async () => canvas.captureStream(25);
-}"""
-
-# Whether the view has anything in it.
-DRAWN = """() => {
-  const { width, height } = document.querySelector("#view");
-  const { data } = document.querySelector("#view").getContext("2d").getImageData(0, 0, width, height);
-  return data.some(Boolean);
-}"""
-
-
-@pytest.fixture
-def server():
-    require_built_page()
-    station = OperatorStation(
-        RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cylinder"]}, "a map")
-    )
-    server = WebServer(station, "127.0.0.1", 0, "key")
-    server.show(json.dumps(SCENE).encode(), [])
-    yield server, station
-    server.close()
-
 
 @pytest.mark.parametrize("browser", [Firefox, WebKit])
-def test_the_page_tracks_the_hand_and_engages(browser, tmp_path, server):
+def test_the_page_tracks_the_hand_and_engages(browser, tmp_path):
     """MediaPipe finds the hand, and the server gets and understands it; a headset is excused in words."""
     browser.require()
+    require_built_page()
     require_package("@webxr-input-profiles/assets")
-    asyncio.run(_track(browser(tmp_path / "profile"), *server))
-
-
-def test_without_webgl_the_page_shows_the_scene(tmp_path, server):
-    Firefox.require(with_3d=False)
-    asyncio.run(_steer(tmp_path / "profile", *server))
-
-
-async def _steer(profile, server: WebServer, station: OperatorStation) -> None:
-    async with Firefox(profile, with_3d=False) as firefox:
-        await firefox.open(f"http://127.0.0.1:{server.port}/#key")
-        await firefox.until("document.body.dataset.state === 'waiting'")
-        server.publish(json.dumps({**STATE, "engaged": True}))
-        await firefox.until("document.body.hasAttribute('data-engaged')")
-        await firefox.until(f"({DRAWN})()")
-        await firefox.press(" ")
-        await _command(station, Disengage)
-
-
-async def _command(station: OperatorStation, kind: type) -> None:
-    """Waits until the page has sent a command."""
-    async with asyncio.timeout(PATIENCE_S):
-        while not any(isinstance(command, kind) for command in station.commands):
-            await asyncio.sleep(0.05)
-    assert station.refused == 0
+    about = RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cylinder"]}, "a map")
+    station = OperatorStation(about)
+    server = WebServer(station, "127.0.0.1", 0, "key")
+    try:
+        asyncio.run(_track(browser(tmp_path / "profile"), server, station))
+    finally:
+        server.close()
 
 
 async def _track(browser: Browser, server: WebServer, station: OperatorStation) -> None:
-    async with browser as page:
+    server.show(json.dumps(SCENE).encode(), [])
+    async with browser as page, asyncio.timeout(3 * PATIENCE_S):
         with serve(WEB) as address:
             await page.open(f"{address}/test/hand.html")
             await page.until("Boolean(window.ready)")
@@ -255,7 +204,8 @@ async def _track(browser: Browser, server: WebServer, station: OperatorStation) 
                 await page.value(f"void pose({json.dumps(posture)})")
                 pictures.append(await page.value(f"draw({number})"))
         await page.open(f"http://127.0.0.1:{server.port}/#key")
-        await page.value(f"void ({CAMERA.replace('PICTURES', json.dumps(pictures))})()")
+        camera = (WEB / "test/picture_camera.js").read_text()
+        await page.value(f"void ({camera})({json.dumps(pictures)})")
         await page.until("document.body.dataset.state === 'waiting'")
         assert "right hand" in await page.value("document.querySelector('#headline').innerText")
         if isinstance(browser, WebKit):
@@ -263,8 +213,9 @@ async def _track(browser: Browser, server: WebServer, station: OperatorStation) 
         server.publish(json.dumps(STATE))
         await page.value("document.querySelector('#camera').click()")
         await page.until("document.body.dataset.state === 'tracking'")
-        async with asyncio.timeout(PATIENCE_S):
-            while station.received < 3:
-                await asyncio.sleep(0.05)
+        while station.received < 3:
+            await asyncio.sleep(0.05)
         await page.press(" ")
-        await _command(station, Engage)
+        while not any(isinstance(command, Engage) for command in station.commands):
+            await asyncio.sleep(0.05)
+    assert station.refused == 0

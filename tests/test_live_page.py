@@ -35,33 +35,6 @@ from geort_drake.retargeting.methods import make_untrained
 
 PATIENCE_S = 120.0  # a busy machine takes long
 
-# Without a GPU, pictures in an emulated headset take most of the time.
-NO_PICTURES = """
-  for (const draw of ["drawElements", "drawArrays"]) WebGL2RenderingContext.prototype[draw] = () => {};
-"""
-
-# Lets WebGL say that a GPU draws it.
-GPU = """
-  const get = WebGL2RenderingContext.prototype.getParameter;
-  WebGL2RenderingContext.prototype.getParameter = function (name) {
-    return name === 37446 ? "GPU" : get.call(this, name); // UNMASKED_RENDERER_WEBGL
-  };
-"""
-
-# Notes which picture of the film the tracker gets at which time.
-READ_NUMBERS = """
-  const post = Worker.prototype.postMessage;
-  window.numbers = [];
-  Worker.prototype.postMessage = function (message, ...rest) {
-    if (!message.frame) return post.call(this, message, ...rest);
-    const context = new OffscreenCanvas(128, 16).getContext("2d", { willReadFrequently: true });
-    context.drawImage(message.frame, 0, 0);
-    const bits = [0, 1, 2, 3, 4, 5, 6, 7].map((i) => context.getImageData(16 * i + 8, 8, 1, 1).data[0] > 128);
-    numbers.push([message.t, bits.reduce((number, bit, i) => number + (bit << i), 0)]);
-    return post.call(this, message, ...rest);
-  };
-"""
-
 
 @pytest.fixture(scope="module")
 def playwright():
@@ -98,10 +71,10 @@ def stub():
 
 
 def open_page(browser, stub, address, *scripts, received=None):
-    """A page at an address after some scripts; `received` is called with every message that it gets."""
+    """A page at an address after scripts of web/; `received` is called with every message that it gets."""
     page = new_page(browser, viewport={"width": 800, "height": 480})
     for script in scripts:
-        page.add_init_script(**script)
+        page.add_init_script(path=WEB / script)
     if stub:
         stub.attach(page)
     if received:
@@ -133,7 +106,7 @@ def filmed(playwright, browser, address, tmp_path_factory):
     joints = film_hand(browser, file)
     stub = StubServer()
     camera = launch(playwright, file, "--disable-3d-apis")  # neither tracker nor view need WebGL
-    page = open_page(camera, stub, f"{address}/#key", {"script": READ_NUMBERS})
+    page = open_page(camera, stub, f"{address}/#key", "test/read_numbers.js")
     page.wait_for_selector("body[data-state=tracking]")
     # Of a whole run of the film, which takes 3 s.
     until(page, lambda: len(seen := stub.of("camera")) >= 30 and seen[-1]["t"] - seen[0]["t"] > 3.2)
@@ -173,35 +146,13 @@ def test_the_robot_pinches_when_the_film_does(filmed, allegro):
     assert np.median(robot[len(closed) :]) > 0.08
 
 
-XR = """
-  const device = new IWER.XRDevice(IWER.metaQuest3);
-  device.installRuntime({ forceInstall: true });
-  const request = navigator.xr.requestSession.bind(navigator.xr);
-  navigator.xr.requestSession = async (...options) => (window.session = await request(...options));
-  window.play = async (hands) => {
-    const space = await session.requestReferenceSpace("local-floor");
-    const names = Array.from(device.hands.left.inputSource.hand.keys());
-    const still = [0, 0, 0, 0, 0, 0, 1];
-    const schema = Object.keys(hands).map((handedness, i) => [i, {
-      handedness, targetRayMode: "tracked-pointer", profiles: ["generic-hand"], hasGamepad: false,
-      hasGrip: false, hasHand: true, jointSequence: names,
-    }]);
-    const inputs = Object.values(hands).map((points, i) =>
-      [i, ...still, points.flatMap((point) => [...point, 0, 0, 0, 1, 0.01])]);
-    const frames = [0, 1e6].map((time) => [time, 0, 1.6, 0, 0, 0, 0, 1, ...inputs]);
-    device.createActionPlayer(space, { schema, frames }).play();
-  };
-"""
-
-
 @pytest.fixture
 def headset(browser, stub):
     """Opens the page in an emulated headset that sees `hands`: side → joints (25, 3)."""
     require_package("iwer")
 
     def open_headset(address, hands, stub=stub, key="key", received=None):
-        emulator = {"path": WEB / "node_modules/iwer/build/iwer.min.js"}
-        scripts = emulator, {"script": XR}, {"script": NO_PICTURES}
+        scripts = "node_modules/iwer/build/iwer.min.js", "test/headset.js", "test/no_pictures.js"
         page = open_page(browser, stub, f"{address}/#{key}", *scripts, received=received)
         page.click("#headset")
         until(page, lambda: page.evaluate("Boolean(window.session)"))
@@ -304,7 +255,7 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
 
 @pytest.mark.parametrize("gpu", [False, True])
 def test_the_view_shows_where_bodies_are(browser, stub, address, gpu):
-    page = open_page(browser, stub, f"{address}/#key", *([{"script": GPU}] if gpu else []))
+    page = open_page(browser, stub, f"{address}/#key", *(["test/gpu.js"] if gpu else []))
     page.wait_for_selector("body[data-state=waiting]")
     assert page.is_visible("#plain") != gpu
     corners = page.locator("main").bounding_box()
@@ -345,14 +296,7 @@ def test_an_old_address_is_refused_in_words(browser, stub):
 
 
 def test_a_camera_that_stops_or_comes_too_late_is_left_in_words(browser, stub, address):
-    camera = """
-      window.given = [];
-      navigator.mediaDevices.getUserMedia = () => new Promise((give) => (window.allow = () => {
-        given.push(document.createElement("canvas").captureStream(5).getTracks()[0]);
-        give(new MediaStream(given.slice(-1)));
-      }));
-    """
-    page = open_page(browser, stub, f"{address}/#key", {"script": camera})
+    page = open_page(browser, stub, f"{address}/#key", "test/late_camera.js")
     page.click("#camera")
     page.click("#camera")  # in spite of the browser's question
     page.evaluate("allow()")
