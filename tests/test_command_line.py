@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -209,18 +208,16 @@ def inputs(light_desk, play):
     lost = p_HK.copy()
     lost[100 : 100 + len(lost) // 5] = np.nan
     arrays = {"good": p_HK, "shape": p_HK[:, :20], "millimetres": 1000 * p_HK, "nan": lost}
-    for name, array in (arrays | {"short": p_HK[:100], "three": p_HK[:3]}).items():
+    for name, array in (arrays | {"three": p_HK[:3]}).items():
         np.save(folder / f"{name}.npy", array)
     (folder / "table.csv").write_text("0,0,0\n")
     play.save(folder / "no_wrist.npz")
-    good = train_lightly("allegro_right", play, folder / "map")
+    train_lightly("allegro_right", play, folder / "map")
     changes = {"(?s)<inertial>.*?</inertial>": ""}
     weightless = write_hand(folder, HandSpec(4, mimic=False), "weightless", changes)
     write_description(propose(weightless).description, folder / "weightless.yaml")
     (folder / "run").mkdir()
     (folder / "run" / "results.json").write_text("{}")
-    weights = Path(shutil.copytree(good, folder / "altered")) / "weights.safetensors"
-    weights.write_bytes(weights.read_bytes()[:-1] + b"x")
     return folder
 
 
@@ -281,12 +278,9 @@ def test_an_unusable_recording_is_refused(refused, fault):
 @pytest.mark.parametrize(
     ("line", "parts"),
     [
-        ("grasp --recording @/short.npy", ["short.npy: 100 valid frames, training needs at least 300"]),
-        ("grasp --retargeter @/altered", ["weights.safetensors", "altered", "sha256"]),
         ("grasp --objects cylinder teapot", ["unknown object 'teapot'", "cylinder", "sphere"]),
         ("grasp --retargeter magic", ["unknown retargeting method or checkpoint 'magic'", "geort"]),
         ("grasp --hand file", ["file: a hand is described in .yaml; geort-drake add-hand describes a model"]),
-        ("live --glove tcp://127.0.0.1:5556", ["address 'tcp://127.0.0.1:5556': give one of sub+tcp://"]),
         ("grasp --hand claw", ["unknown hand 'claw'", "allegro_right", "leap_right"]),
         ("grasp --hand allegro_left --recording @/no_wrist.npz", ["no_wrist.npz", "right hand", "left one"]),
         ("grasp --scenario-name Lift", ["unknown scenario", "'Lift'", "Grasp"]),
@@ -294,48 +288,38 @@ def test_an_unusable_recording_is_refused(refused, fault):
         ("grasp --replay @/no_wrist.npz", ["no_wrist.npz", "needs wrist poses", "--scenario-name Fixed"]),
         ("grasp --scenario-name Fixed", ["scenario 'Fixed': the operator cannot grasp with a fixed base"]),
         ("grasp --output file/runs", ["file", "directory"]),
-        ("grasp --output @/altered", ["contains results of geort-drake train or refit (weights.safe"]),
+        ("grasp --output @/map", ["contains results of geort-drake train or refit (weights.safe"]),
         ("benchmark --output @/run", ["run: contains results of geort-drake grasp (results.json)"]),
         ("grasp --scenario-text '{correction: {kind: policy, policy: a.pt}}'", ["a.pt: no such policy file"]),
         ("grasp --trials 0", ["--trials", "at least 1", "0"]),
-        ("grasp --side both", ["--side", "left", "right"]),
         ("train --output out --hand claw.yaml", ["claw.yaml is missing"]),
         ("train --output out --set speed", ["NAME=VALUE", "'speed'"]),
-        ("train --output out --method geort --set jitter=0.1", ["setting of geort 'jitter'", "points"]),
         ("train --output out --set steps=many", ["steps", "int", "'many'"]),
         ("train --output out --set collision=0", ["collision must be positive"]),
-        ("train --output out --method geort --set learning_rate=-1", ["learning_rate must be positive"]),
         ("train --output out --preset public", ["preset of geort, not of geort_coupled"]),
         ("train --output .", ["exists and is not a checkpoint"]),
         ("evaluate --recording @/good.npy --methods hold magic", ["'magic'", "geort", "vector_online"]),
         ("evaluate --recording @/good.npy --score-on @/good.npy", ["good.npy", "give another one"]),
         ("evaluate --recording @/good.npy --held-out 181", ["held-out blocks must be 2 to 180", "not 181"]),
-        ("evaluate --recording @/good.npy --held-out 1", ["held-out blocks must be 2 to 180", "not 1"]),
         ("synthesize out.npz --duration inf", ["--duration", "finite"]),
         ("synthesize out.npz --hand-of @/three.npy", ["three.npy: fitting a hand needs at least 10 valid"]),
-        ("check-recording .", [".: a folder without .pkl files; a recording is a file"]),
         ("grasp --hand @/weightless.yaml", ["'weightless': joints that move no mass", "thumb_j1", ".urdf"]),
         ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
         ("convert @/good.npy file/out.npz", ["file", "directory"]),
         ("convert @/no_wrist.npz @/no_wrist.npz --mirror", ["no_wrist.npz: choose another file"]),
-        ("check-recording @/no_wrist.npz --side left", ["no_wrist.npz", "right hand", "left one"]),
         ("explore --output e.rrd --duration 1000", ["--duration must be from 0.1 to 600, not 1000"]),
-        ("explore --output e.rrd --methods magic", ["'magic'", "geort"]),
         ("benchmark --rrd hold cylinder", ["--rrd: give METHOD OBJECT SEED [CONDITION]"]),
         ("benchmark --methods ../../../etc", ["unknown retargeting method or checkpoint '../../../etc'"]),
         ("export @/no_wrist.npz out --fps 3", ["--fps: Parquet keeps every sample"]),
         ("export @/no_wrist.npz out.mp4 --format rrd", ["out.mp4: the name must end with .rrd"]),
         ("live --port 99999", ["--port", "a port from 0 to 65535, not '99999'"]),
         ("live --glove @/no_wrist.npz --record @/no_wrist.npz", ["no_wrist.npz exists; choose another file"]),
-        ("live --glove nowhere.npz", ["nowhere.npz: no such file"]),
         ("live --record file/runs", ["file/runs: file is not a directory"]),
         ("live --glove lcm --robot lcm --meshcat", ["--meshcat shows the simulation"]),
         ("live --glove lcm --robot real", ["address 'real': give one of"]),
-        ("live --glove lcm --robot lcm+udpm://10.0.0.1:7667?ttl=0", ["GROUP from 224"]),
         ("live --glove lcm --robot lcm --hand leap_right", ["has no LCM messages"]),
         ("add-hand nowhere.urdf", ["nowhere.urdf"]),
         ("add-hand nowhere.urdf --output hand.txt", ["the name must end with .yaml"]),
-        ("screenshot nowhere.rrd out.png", ["nowhere.rrd"]),
     ],
 )
 def test_an_impossible_request_is_refused(refused, line, parts):

@@ -9,7 +9,7 @@ import torch
 from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_data, toy_kinematics, uneven_kinematics
 from scipy.spatial.transform import Rotation
 
-from geort_drake import HandModel
+from geort_drake import HandModel, Retargeter
 from geort_drake.errors import TrainingError
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.people.keypoints import TIP_KEYPOINT
@@ -23,6 +23,7 @@ from geort_drake.retargeting.methods.coupled.training import train_universal
 from geort_drake.retargeting.training.collision_geometry import CollisionGaps, CollisionShapes
 from geort_drake.retargeting.training.human_data import pinch_pairs
 from geort_drake.retargeting.training.kinematics import HandKinematics
+from geort_drake.retargeting.training.networks import RetargetingNetwork
 
 KEYPOINTS = [4, 8, 12]
 QUICK = CoupledConfig(steps=150)
@@ -33,29 +34,30 @@ def quick(seed=0, shapes=None, **settings):
     return train_coupled(data, dataclasses.replace(QUICK, **settings), seed)
 
 
-def network_of(hand, seed=0) -> CoupledNetwork:
+def network_of(hand, kind=CoupledNetwork, hidden=(), seed=0) -> torch.nn.Module:
     """A network with random weights everywhere, the residual's last layer included."""
     generator = torch.Generator().manual_seed(seed)
     mean = 0.05 * torch.rand(len(hand.fingers), 3, generator=generator)
     scale = 0.02 + 0.03 * torch.rand(len(hand.fingers), 3, generator=generator)
-    network = CoupledNetwork(hand, mean, scale, generator)
+    network = kind(hand, mean, scale, *hidden, generator)
     with torch.no_grad():
-        network.residual.weights[-1].uniform_(-0.3, 0.3, generator=generator)
-        network.residual.biases[-1].uniform_(-0.3, 0.3, generator=generator)
+        for parameter in (network.residual.weights[-1], network.residual.biases[-1]) if not hidden else ():
+            parameter.uniform_(-0.3, 0.3, generator=generator)
     return network
 
 
 @pytest.mark.parametrize("hand", [toy_kinematics(), uneven_kinematics()], ids=["even", "uneven"])
-def test_numpy_equals_torch_with_a_full_jacobian(hand, rng):
-    """For any order and number of joints; every joint depends on every fingertip."""
-    network = network_of(hand)
-    names = (hand.finger_names, hand.joint_names)
-    retarget = CoupledRetargeter(network.arrays(), *names, KEYPOINTS, hand.lower, hand.upper)
-    tips = rng.normal(0.03, 0.05, (50, 3, 3))
-    with torch.no_grad():
-        expected = network(torch.tensor(tips).float()).numpy()
-    np.testing.assert_allclose(retarget(tips), expected, atol=1e-4)
-    np.testing.assert_allclose([retarget(tip) for tip in tips], retarget(tips), atol=1e-12)
+def test_numpy_equals_torch(hand, rng):
+    """For any order and number of joints, each finger by itself or all together, with a full Jacobian."""
+    tips, names = rng.normal(0.03, 0.05, (300, 3, 3)), (hand.finger_names, hand.joint_names)
+    for kind, network in (
+        (Retargeter, network_of(hand, RetargetingNetwork, (128,))),
+        (CoupledRetargeter, network_of(hand)),
+    ):
+        retarget = kind(network.arrays(), *names, KEYPOINTS, hand.lower, hand.upper)
+        expected = network.double()(torch.tensor(tips)).detach().numpy()
+        np.testing.assert_allclose(retarget(tips), expected, atol=1e-6)
+        np.testing.assert_allclose([retarget(tip) for tip in tips], retarget(tips), atol=1e-12)
     assert (np.abs(retarget.jacobian(tips[0])) > 1e-9).all()
 
 

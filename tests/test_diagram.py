@@ -9,7 +9,6 @@ import pytest
 from grasp_setup import allegro, centred_map, human_with, resting_glove, scenario_with, started
 
 from geort_drake import Recording, make_trial_diagram
-from geort_drake.errors import HandError
 from geort_drake.simulation.world import HAND
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
@@ -106,10 +105,3 @@ def test_the_scenarios_correction_has_the_last_word_on_the_hand():
         if to is parts.plant and port == wanted.get_index()
     ]
     assert isinstance(source, SelfCollisionGuard)
-
-
-def test_a_retargeter_for_another_hand_is_refused():
-    retarget = centred_map()
-    retarget.joint_names = [f"finger_{name}" for name in retarget.joint_names]
-    with pytest.raises(HandError, match=r"finger_joint_0.*the plant's hand has joint_0"):
-        make_trial_diagram(scenario_with("cylinder"), retarget, glove())

@@ -5,32 +5,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import torch
 from faults.sound import JOINTS, TIPS, checkpoint, play, smooth_arrays, smooth_retargeter
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
-from retargeting_toy import toy_kinematics, uneven_kinematics
 
 from geort_drake import Retargeter, load_retargeter
 from geort_drake.errors import CheckpointError, GeortError, HandError
 from geort_drake.retargeting.checkpoint import REQUIRED, load_checkpoint
 from geort_drake.retargeting.trained_space import trained_points
-from geort_drake.retargeting.training.networks import RetargetingNetwork
 from geort_drake.systems.retargeting_map import RetargetingMap
-
-
-@pytest.mark.parametrize("kinematics", [toy_kinematics(), uneven_kinematics()], ids=["even", "uneven"])
-def test_numpy_equals_torch(kinematics, rng):
-    """Folding the normalisation into the weights changes nothing, for any joint layout."""
-    generator = torch.Generator().manual_seed(0)
-    mean = 0.05 * torch.rand(3, 3, generator=generator)
-    scale = 0.005 + 0.03 * torch.rand(3, 3, generator=generator)
-    network = RetargetingNetwork(kinematics, mean, scale, 128, generator)
-    names = kinematics.finger_names, kinematics.joint_names
-    retarget = Retargeter(network.arrays(), *names, (4, 8, 12), kinematics.lower, kinematics.upper)
-    p = rng.normal(0.05, 0.05, (300, 3, 3))
-    expected = network.double()(torch.tensor(p)).detach().numpy()
-    np.testing.assert_allclose(retarget(p), expected, atol=1e-6)
-    np.testing.assert_allclose(retarget(p[7]), retarget(p)[7], atol=1e-12)
 
 
 def test_a_checkpoint_comes_back_as_it_was(tmp_path, allegro, rng):
