@@ -28,8 +28,10 @@ class Retargeter:
         lower, upper: (n,) joint limits, rad; outputs are always inside.
         trained_space: fingertip positions seen in training; None in checkpoints of version 0.1.
         robot_hands: names of the robot hands for which the map was trained; empty if unknown.
+        backend: "numpy", or "numba" after `compile`.
     """
 
+    backend = "numpy"
     trained_space: TrainedSpace | None = None
     robot_hands: tuple[str, ...] = ()
     # Layer 1 of a residual network of all fingers (r, r); empty here.
@@ -149,6 +151,7 @@ class Retargeter:
             centre=self._centre,
         )
         self._one_hand = OneHand(layers, self._fingertips.keypoints.tolist())
+        self.backend = "numba"
 
     def value_and_jacobian(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Computes joint angles q and ∂q/∂p_HF of one hand, in the time of the Jacobian alone.

@@ -1,7 +1,8 @@
 """Limits of joint positions, speeds and accelerations, and steps towards targets within them."""
 
 import dataclasses as dc
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -14,6 +15,35 @@ from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 DEFAULT_ACCELERATION = 700.0
 # rad/s and rad/s²; outside of this range squares may overflow, and no motor reaches it.
 _RATES = (1e-6, 1e12)
+
+
+def _speed_to_target(
+    q: np.ndarray,
+    v: np.ndarray,
+    target: np.ndarray,
+    target_before: np.ndarray,
+    period: float,
+    low: np.ndarray,
+    high: np.ndarray,
+    stop_factor: np.ndarray,
+) -> tuple[np.ndarray, bool]:
+    """Returns the speed (n,) to the target, and whether the results of `_fast_path_bounds` allow it.
+
+    A joint at v stops within v²/2a; if it stops inside the position limits, no later step has to leave them.
+    """
+    speed = (target - q) / period
+    stop = target + speed * np.abs(speed) * stop_factor
+    values = np.concatenate((speed, speed - v, target_before - q, stop))
+    return speed, np.count_nonzero((low <= values) & (values <= high)) == values.size
+
+
+@functools.cache
+def _compiled_speed_to_target() -> Callable[..., tuple[np.ndarray, bool]]:
+    from numba import boolean, float64, njit, types
+
+    x = float64[::1]
+    signature = types.Tuple((x, boolean))(x, x, x, x, float64, x, x, x)
+    return njit(signature, cache=True)(_speed_to_target)
 
 
 @dc.dataclass(frozen=True)
@@ -38,6 +68,7 @@ class JointLimits:
     _bounds: dict[float, tuple[np.ndarray, ...]] = dc.field(
         init=False, repr=False, compare=False, default_factory=dict
     )
+    _speed_to_target = staticmethod(_speed_to_target)
 
     def __post_init__(self) -> None:
         names = ("lower", "upper", "speed", "acceleration")
@@ -81,6 +112,12 @@ class JointLimits:
             np.minimum(speeds, speed),
             acceleration,
         )
+
+    def compiled(self) -> "JointLimits":
+        """Returns the same limits, with steps compiled by numba; they give the same results, bit for bit."""
+        limits = dc.replace(self)
+        object.__setattr__(limits, "_speed_to_target", _compiled_speed_to_target())
+        return limits
 
     def start(self, positions: Mapping[str, float], joints: Sequence[str]) -> np.ndarray:
         """Returns initial positions (n,), rad, in the order of the limits, after checks.
@@ -127,14 +164,12 @@ class JointLimits:
             period: s.
             share: usable fraction of the speed limit; a faster joint slows down.
         """
-        speed, lag = (target - q) / period, target_before - q
-        # Fast path: a target within all limits is reached. A joint at v stops within v²/2a; if it stops
-        # inside the position limits, no later step has to leave them.
-        low, high, stop_factor = self._fast_path_bounds(period)
-        values = np.array([speed, speed - v, lag, target + speed * np.abs(speed) * stop_factor])
-        if share == 1.0 and np.count_nonzero((low <= values) & (values <= high)) == values.size:
+        # Fast path: a target within all limits is reached.
+        bounds = self._fast_path_bounds(period)
+        speed, within = self._speed_to_target(q, v, target, target_before, period, *bounds)
+        if within and share == 1.0:
             return target, speed
-        gain = self.acceleration * period  # largest change of speed
+        gain, lag = self.acceleration * period, target_before - q  # largest change of speed
         distance = np.array([np.abs(lag), self.upper - q, q - self.lower])
         to_target, to_upper, to_lower = self._braking_speed(distance, period)
         speed = np.minimum(np.maximum((target - target_before) / period, -self.speed), self.speed)
@@ -147,14 +182,14 @@ class JointLimits:
         return np.minimum(np.maximum(q + v * period, self.lower), self.upper), v
 
     def _fast_path_bounds(self, period: float) -> tuple[np.ndarray, ...]:
-        """Returns bounds (4, n) of speed, its change, lag and stopping position, low and high; and 1/2a (n,).
+        """Returns bounds (4n,) of speed, its change, lag and stopping position, low and high; and 1/2a (n,).
 
         Cached, because computing them takes as long as a step.
         """
         if period not in self._bounds:
             gain = self.acceleration * period
-            most = np.array([self.speed, gain, gain * period])
-            low, high = np.array([*-most, self.lower]), np.array([*most, self.upper])
+            most = np.concatenate([self.speed, gain, gain * period])
+            low, high = np.concatenate([-most, self.lower]), np.concatenate([most, self.upper])
             self._bounds[period] = (low, high, np.divide(0.5, self.acceleration))
         return self._bounds[period]
 

@@ -111,6 +111,8 @@ class RetargetingSystem(LeafSystem):
         self._to_plant = np.array([list(joint_names).index(name) for name in actuated_joints])
         self._trained_space = getattr(retarget, "trained_space", None)
         self._limits = limits or self._limits_of(retarget)
+        if getattr(retarget, "backend", "") == "numba":
+            self._limits = self._limits.compiled()
         self.period = period = max(period, latency)
         self._blend = low_pass_factor(cutoff, period)
         self.delay = latency + period * (1.0 - self._blend) / self._blend
@@ -123,13 +125,14 @@ class RetargetingSystem(LeafSystem):
         desired = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
         easing = Easing.at_start(self._checks.ease_at_start)
         numbers = [STATES.index(SETTLING), 0.0, math.nan, 0.0, math.nan, 0.0, *dc.astuple(easing)]
-        self._memory = self.DeclareDiscreteState(np.concatenate([q0, np.full(63, math.nan), numbers]))
+        memory = self.DeclareDiscreteState(np.concatenate([q0, np.full(63, math.nan), numbers]))
+        self._memory = int(memory)  # which pydrake converts sooner
         # With a latency, the output port has its own state.
         self._output = desired
         if latency > 0:
             self._output = self.DeclareDiscreteState(np.concatenate([q0, np.zeros(n)]))
         self.DeclareStateOutputPort("desired_state", self._output)
-        tickets = {self.discrete_state_ticket(self._memory)}
+        tickets = {self.discrete_state_ticket(memory)}
         self._person = None
         if isinstance(retarget, UniversalRetargeter):
             # A proxy, as Drake never frees a state's first value; see `release`.
@@ -202,8 +205,8 @@ class RetargetingSystem(LeafSystem):
         desired = discrete_state.get_mutable_value(0)
         memory = discrete_state.get_mutable_value(self._memory)
         q, v, target = desired[:n], desired[n:], memory[:n]
-        code, since, excess, *numbers = memory[n + 63 :].tolist()
-        glove, easing = GloveMemory(memory[n : n + 63], *numbers[:3]), Easing(*numbers[3:])
+        code, since, excess, changed, stamp, stamped, *eased = memory[n + 63 :].tolist()
+        glove, easing = GloveMemory(memory[n : n + 63], changed, stamp, stamped), Easing(*eased)
         before = STATES[int(code)]
 
         state, q_new, excess = self._retargeted(context, time, glove, easing, before, since, excess)
