@@ -46,7 +46,7 @@ class GloveRecorder(LeafSystem):
         super().__init__()
         self._parts, self._part_samples = parts, max(round(part / period), 1)
         self._paused = False
-        self._samples: list[tuple[float, np.ndarray, RigidTransform, bool, np.ndarray]] = []
+        self._samples: list[tuple[float, np.ndarray, RigidTransform, bool, list[float]]] = []
         self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
@@ -64,7 +64,7 @@ class GloveRecorder(LeafSystem):
         keypoints = self._keypoints.Eval(context).reshape(21, 3).copy()
         X_WH = RigidTransform(self._wrist.Eval(context))
         valid = bool(self._valid.Eval(context)[0] > 0.5)
-        q = np.concatenate([np.empty(0), *(port.Eval(context)[:n] for port, n in self._robot)])
+        q = [position for port, n in self._robot for position in port.Eval(context)[:n].tolist()]
         self._samples.append((context.get_time(), keypoints, X_WH, valid, q))
         if self._parts is not None and len(self._samples) >= self._part_samples:
             self._write(self._parts)
