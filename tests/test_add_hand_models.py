@@ -96,8 +96,6 @@ def test_the_command_describes_a_copy(tmp_path):
     assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 13
 
 
-# -- meshes that Drake does not read
-
 # A box off its mesh's origin, longer along z than along y, m.
 CORNERS = np.array(np.meshgrid([-0.022, -0.002], [-0.033, 0.033], [0.0, 0.08])).reshape(3, -1).T
 BOX = trimesh.convex.convex_hull(CORNERS)
@@ -242,9 +240,6 @@ def test_a_git_lfs_pointer_is_named(file, tmp_path):
         HandModel(description)
 
 
-# -- features of MJCF that Drake ignores
-
-
 def tree(body: str, head: str = "") -> ET.Element:
     return ET.fromstring(f"<mujoco>{head}<worldbody><body>{body}</body></worldbody></mujoco>")
 
@@ -325,8 +320,6 @@ def test_ignored_parts_are_named(tmp_path):
     assert "tendon 'rope'" in notes
     assert "closed loop at 'index_l3' and 'middle_l3'" in notes
 
-
-# -- models of more than a hand
 
 INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
 INERTIAL = f'<inertial><mass value="1"/>{INERTIA}</inertial>'

@@ -77,8 +77,6 @@ def test_two_processes_do_not_write_to_one_file(tmp_path):
     TrialLog(path).close()
 
 
-# -- figures of one method
-
 TIMEOUT = 20.0
 GRIPS = {"cube": "tripod", "ball": "tripod", "rod": "pinch"}
 
@@ -138,9 +136,6 @@ def test_objects_that_differ_widen_the_interval_and_missing_trials_do_not_count(
     assert alone["high"] - alone["low"] < 0.2
     assert mean_and_interval(np.array([[[1.0]]])) == {"mean": 1.0, "low": None, "high": None}
     assert mean_and_interval(np.full((1, 1, 0), np.nan))["mean"] is None
-
-
-# -- of two methods
 
 
 def test_differences_are_between_trials_of_the_same_object_and_seed():
@@ -213,8 +208,6 @@ def test_the_completed_share_rises_to_the_success_rate():
         assert np.isfinite(list(curve.values())).all()  # all of one length
         assert curve["t"][0] == 0 and curve["t"][-1] == TIMEOUT
 
-
-# -- sensitivity
 
 USUAL = {name: list(parameter.values) for name, parameter in ASSUMPTIONS.items()}
 

@@ -31,9 +31,6 @@ SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 HEAVY = {"rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", "joblib"}
 
 
-# -- commands
-
-
 def test_help_imports_no_heavy_package():
     """So it answers at once; benchmarks/bench_startup.py has the times."""
     code = (
@@ -85,9 +82,6 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     assert {each.dest: each.choices for each in parser_of("convert")._actions}["unit"] == list(UNITS_M)
     files = [episode.RESULTS, config.TRIALS, checkpoint.WEIGHTS, parquet.EPISODES, lerobot.INFO]
     assert list(options.RESULT_FILES) == files
-
-
-# -- outputs
 
 
 def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
@@ -181,9 +175,6 @@ def test_sigterm_interrupts_like_ctrl_c(monkeypatch, capsys):
     assert capsys.readouterr().err == "interrupted\ninterrupted\n"
 
 
-# -- the package
-
-
 def test_every_public_name_imports_and_a_wrong_one_does_not():
     """The package's names come from their modules when first used, and its docstring explains each."""
     import geort_drake
@@ -195,9 +186,6 @@ def test_every_public_name_imports_and_a_wrong_one_does_not():
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         geort_drake.nothing  # noqa: B018
     assert (Path(geort_drake.__file__).parent / "py.typed").is_file()
-
-
-# -- requests that cannot be met
 
 
 @pytest.fixture(scope="module")

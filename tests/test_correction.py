@@ -41,9 +41,6 @@ def true_distances(q: np.ndarray) -> dict[frozenset, float]:
     return {pair: distance for pair, distance in found.items() if pair in watched}
 
 
-# -- clearance
-
-
 def test_gaps_are_lower_bounds_of_drakes_distances(rng):
     """No pair is missed, no gap is larger than the distance, and few are smaller by over a millimetre."""
     hand, slack = allegro(), []
@@ -57,9 +54,6 @@ def test_gaps_are_lower_bounds_of_drakes_distances(rng):
                     slack.append(distance - gaps[pair])
     assert len(slack) > 50
     assert np.percentile(slack, 95) < 1e-3
-
-
-# -- the guard
 
 
 def guard() -> tuple[SelfCollisionGuard, np.ndarray]:
@@ -103,9 +97,6 @@ def test_the_guard_walks_towards_a_command_and_stays_clear():
     # The joints slide along each other: fingers that only stopped would end at a distance of 0.25 rad.
     assert np.linalg.norm(q - wanted) < 0.2
     assert np.abs(q - start).max() > 0.5
-
-
-# -- policies
 
 
 # A graph with inputs `state` (1, 4) and `target` (1, 2), and one node, Identity, from target to output.

@@ -187,8 +187,6 @@ def test_gaps_agree_with_drake(name):
     np.testing.assert_array_equal(after < 0, least < 0)
 
 
-# -- a universal map
-
 FINGERS = ("thumb", "index", "middle", "ring")
 
 

@@ -23,9 +23,6 @@ def glove(p_W_moved=(0.0, 0.0, 0.0), spread: float = 0.0, duration: float = 3.0)
     return dc.replace(still, p_HK=p_HK, X_WH=X_WH)
 
 
-# -- what moves
-
-
 def test_the_hand_follows_the_glove():
     """The fingers get to their targets, and the hand base moves as the wrist does, without a turn."""
     shift = (0.05, -0.03, 0.0)
@@ -68,9 +65,6 @@ def test_the_retargeting_has_the_scenarios_latency_and_speed():
     simulator.AdvanceTo(0.0141)
     moved = np.abs(port.Eval(context) - rest)[:16].max()
     assert moved == pytest.approx(0.5 * parts.retargeting.period, rel=1e-6)
-
-
-# -- ports
 
 
 def test_every_port_is_described_where_it_is_declared():

@@ -62,8 +62,6 @@ def shown(pattern: str) -> list[str]:
     return sorted(line for line in found if re.match(pattern, line) and "COMMAND" not in line)
 
 
-# -- snippets
-
 SNIPPETS = [
     pytest.param(page, number, id=f"{page.stem}-{number}")
     for page in PAGES
@@ -169,8 +167,6 @@ def test_a_snippet_runs(page, number, desk, play, monkeypatch):
         given["recorder"].close()
 
 
-# -- commands, programs and make targets
-
 SCRIPT_COMMAND = re.compile(r'main\(\["([\w-]+)"')
 
 
@@ -200,8 +196,6 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
         known = {option for action in parser._actions for option in action.option_strings}
         assert {word.replace("_", "-") for word in words if word.startswith("--")} <= known
 
-
-# -- running them
 
 TINY = {"steps": 3}
 SETTINGS = " ".join(f"--set {name}={value}" for name, value in TINY.items())
@@ -365,9 +359,6 @@ def test_every_make_target_and_link_of_the_readme_exists():
     text = (ROOT / "README.md").read_text("utf-8")
     linked = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"https?:|#", target)]
     assert [target for target in linked if not (ROOT / target).exists()] == []
-
-
-# -- the site
 
 
 def test_the_site_builds_and_asks_no_other_host(tmp_path):

@@ -58,9 +58,6 @@ def copy(finished, tmp_path):
     return shutil.copytree(finished, tmp_path / "copy")
 
 
-# -- running and continuing
-
-
 def test_every_trial_has_its_line_and_its_place_in_the_report(finished):
     """The summary counts all trials; the page needs no other file, and has a command for every trial."""
     records = read_records(finished / "trials.jsonl")
@@ -162,9 +159,6 @@ def test_an_object_that_the_hand_cannot_grasp_is_left_out_and_named(tmp_path, mo
     assert reason in report and "2 of 2 trials" in report
 
 
-# -- refusals
-
-
 def test_another_configuration_is_refused_by_the_name_of_its_field(copy, play):
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
     for field, scenario, seed in (
@@ -188,9 +182,6 @@ def test_a_checkpoint_is_named_after_its_directory_however_that_is_given(tmp_pat
         names_of([".", "../../other/map"])
 
 
-# -- repeating a trial
-
-
 def test_a_trial_can_be_recorded_and_must_come_out_the_same(copy, capsys):
     """The recording is written and linked; changed code is a warning, another outcome an error."""
     config = read_config(copy)
@@ -208,9 +199,6 @@ def test_a_trial_can_be_recorded_and_must_come_out_the_same(copy, capsys):
         run_command(*repeat)
     with pytest.raises(UnknownNameError, match=r"finished trial 'hold cylinder 7'.*hold cylinder 0"):
         run_command("benchmark", ["--output", str(copy), "--rrd", "hold", "cylinder", "7"])
-
-
-# -- latency and pairing
 
 
 def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, play, monkeypatch):

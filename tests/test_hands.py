@@ -28,9 +28,6 @@ def _uniform(hand: HandModel, rng, count: int) -> np.ndarray:
     return rng.uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
 
 
-# -- descriptions
-
-
 def _set(path: str, value):
     """A function that puts `value` at a dotted path of the description."""
 
@@ -65,9 +62,6 @@ def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
     change(facts)
     with pytest.raises(HandError, match=f"(?s){message}"):
         HandModel(load()).kinematics()
-
-
-# -- the model
 
 
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
@@ -137,9 +131,6 @@ def test_kinematics_survive_offset_bases_welded_links_and_held_joints(allegro_co
     np.testing.assert_allclose(whole.fingertips(q_whole), hand.fingertips(q), atol=1e-9)
 
 
-# -- the digest
-
-
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
 def test_the_digest_covers_meshes_and_included_files(kind, tmp_path):
     """A collision mesh, a whole SDF model in another's file, and actuators in a file of their own in MJCF.
@@ -187,9 +178,6 @@ def test_the_digest_covers_meshes_and_included_files(kind, tmp_path):
 def test_shipped_hands_keep_their_digest(name, start):
     """Saved checkpoints fit a hand with the same digest only."""
     assert HandModel(name).digest.startswith(start)
-
-
-# -- links and contacts on them
 
 
 @pytest.fixture

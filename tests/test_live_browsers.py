@@ -175,9 +175,6 @@ def _stroke(key: str) -> dict:
     return {"type": "key", "id": "keyboard", "actions": strokes}
 
 
-# -- the page
-
-
 @pytest.mark.parametrize("browser", [Firefox, WebKit])
 def test_the_page_tracks_the_hand_and_engages(browser, tmp_path):
     """MediaPipe finds the hand, and the server gets and understands it; a headset is excused in words."""

@@ -51,9 +51,6 @@ def text(words: list[str]) -> bytes:
     return ",".join(words).encode()
 
 
-# -- gloves
-
-
 def test_a_frame_arrives_to_the_last_bit():
     """With and without a hand and a tracker."""
     pose = np.array([0.6, 0.8, 0.0, 0.0, 1 / 3, -2.0, 0.7])
@@ -145,9 +142,6 @@ def test_a_malformed_message_is_refused(name):
     assert len(str(raised.value)) < 300
 
 
-# -- robots
-
-
 def test_commands_have_the_fields_that_drivers_expect():
     """Of Drake's message types."""
     command = lcmt_allegro_command.decode(ALLEGRO.encode_command(2.5, np.arange(16.0)))
@@ -194,9 +188,6 @@ def test_a_hand_of_other_joints_is_refused():
         ALLEGRO.decode_status(ALLEGRO.encode_status(0.0, twelve))
     with pytest.raises(HandError, match="the model's hand has thumb"):
         ALLEGRO.model_order(JointGroup("hand", ["thumb"], np.zeros(1), np.zeros(1), np.ones(1)))
-
-
-# -- transports
 
 
 @pytest.mark.parametrize(
@@ -270,9 +261,6 @@ def test_messages_pass_over_a_transport(pattern, request):
     finally:
         receiver.close()
         sender.close()
-
-
-# -- programs
 
 
 @pytest.fixture(scope="module")

@@ -103,9 +103,6 @@ class Calls:
 SHELL = Calls(os.system, "touch harm")
 
 
-# -- recordings
-
-
 def recording(name: str, write: bytes | Callable[[Path], object]) -> Make:
     """Converts a file with that content, or what a function makes of its path."""
 
@@ -224,8 +221,6 @@ RECORDINGS: dict[str, tuple[Make, str]] = {
 }
 
 
-# -- checkpoints
-
 WEIGHTS = "weights.safetensors"
 
 
@@ -289,8 +284,6 @@ CHECKPOINTS: dict[str, tuple[Make, str]] = {
     ),
 }
 
-
-# -- hands and scenarios
 
 ENTITIES = "".join(f'<!ENTITY a{n} "{f"&a{n - 1};" * 10 if n else "laugh"}">' for n in range(10))
 
@@ -373,9 +366,6 @@ SCENARIOS: dict[str, tuple[Make, str]] = {
     "a model elsewhere": (scenario(MODEL.format("package://geort_drake/../../../etc/passwd")), "directives"),
     "a model by the network": (scenario(MODEL.format("https://example.org/arm.sdf")), "directives"),
 }
-
-
-# -- results
 
 
 def results(content: bytes) -> Make:

@@ -118,9 +118,6 @@ def _room(folder: Path, name: str) -> Path:
     return folder / name
 
 
-# -- readers
-
-
 def recording(path: Path) -> None:
     read, _ = examine(open_recording(path)[0])
     count = len(read.t)
