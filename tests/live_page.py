@@ -6,6 +6,9 @@ import functools
 import http.server
 import itertools
 import json
+import re
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -64,6 +67,19 @@ def new_page(browser, **options):
     page = browser.new_page(**options)
     page.set_default_timeout(120_000)
     return page
+
+
+@contextmanager
+def live_program(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen, str, str]]:
+    """Runs the command `live` in a folder; yields its process, the page's address and the key to it."""
+    command = [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json", *options]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, cwd=folder, **pipes) as program:
+        try:
+            line = next(line for line in program.stderr if "Hold up your hand" in line)
+            yield program, *re.search(r"(http://\S+)/#(\S+)", line).groups()
+        finally:
+            program.kill()
 
 
 @contextmanager

@@ -1,5 +1,7 @@
 """What live use runs, in steps: the page's simulation on a clock that stands, and the arm by itself."""
 
+from collections import Counter
+
 import numpy as np
 from live_messages import Clock
 from pydrake.math import RigidTransform
@@ -80,7 +82,7 @@ ACCELERATION = np.array([15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0])
 
 
 class ArmBench(SystemBench):
-    """Steps wrist checks and `WristToArm` with the settings of teleoperation, update by update."""
+    """Steps wrist checks and `WristToArm` with the settings of teleoperation, and counts broken limits."""
 
     def __init__(self):
         scenario = load_scenario()
@@ -92,6 +94,7 @@ class ArmBench(SystemBench):
         lower, upper = plant.GetPositionLowerLimits()[:7], plant.GetPositionUpperLimits()[:7]
         start = plant.GetPositions(plant.CreateDefaultContext())[:7]
         self.watch = Watch(JointLimits(lower, upper, SPEED, ACCELERATION), PERIOD, start)
+        self.broken: Counter[str] = Counter()
         builder = DiagramBuilder()
         self.checks = builder.AddSystem(WristChecks(PERIOD))
         self.arm = builder.AddSystem(
@@ -113,5 +116,6 @@ class ArmBench(SystemBench):
         """One update; returns the arm's positions (rad) and velocities (rad/s), and the wrist's state."""
         self.fix(wrist_pose=X_WH, valid=valid)
         self.advance()
-        desired = self.value("arm_desired_state", self.arm)
-        return desired[:7], desired[7:], self.value("state", self.checks)
+        q, v = np.split(self.value("arm_desired_state", self.arm), 2)
+        self.broken.update(self.watch.broken(q, v))
+        return q, v, self.value("state", self.checks)

@@ -48,8 +48,7 @@ def _set(path: str, value):
         (_set("fingers.1.joints", ["joint_12", "joint_1"]), r"every joint once; given: twice: joint_12"),
         (_set("fingers.1.tip_radius", -0.01), r"tip_radius must be positive"),
         (_set("default_positions.joint_12", 0.0), r"joint_12 must be within its limits.*0\.263.*given: 0"),
-        (_set("colour", "red"), r"hand\.yaml is malformed: unknown field 'colour'; choose one of: .*fingers"),
-        (_set("fingers.1.radius", 3), r"unknown field 'fingers\.1\.radius'; choose one of: .*tip_radius"),
+        (_set("fingers.1.radius", 3), r"hand\.yaml is malformed: unknown field 'fingers\.1\.radius'; choose"),
         (_set("couplings", [{"joint": j, "follows": k} for j, k in ("xy", "yx")]), "'x' follows itself"),
         (
             _set("fingers.1.joints", [f"joint_{i}" for i in (3, 2, 1, 0)]),

@@ -2,10 +2,7 @@
 
 import io
 import json
-import re
 import signal
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -19,6 +16,7 @@ from live_page import (
     film_hand,
     goal_of,
     launch,
+    live_program,
     new_page,
     require_package,
     require_page,
@@ -211,7 +209,6 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
 def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages."""
     goal = goal_of("allegro_right", "cylinder")
-    command = [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json"]
     frames, texts = [], {}  # the newest text of each type
 
     def receive(message: bytes | str) -> None:
@@ -220,35 +217,28 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
         else:
             texts[json.loads(message)["type"]] = json.loads(message)
 
-    with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as program:
-        try:
-            line = next(line for line in program.stderr if "Hold up your hand" in line)
-            address, key = re.search(r"(http://\S+)/#(\S+)", line).groups()
-            page = headset(address, {"right": joints_of(in_world(0))}, None, key, receive)
-            until(page, lambda: "state" in texts and frames)
-            until(page, lambda: page.get_attribute("body", "data-state") == "tracking")
-            assert page.inner_text("#map") == "Universal map"
-            scene = page.evaluate("fetch('scene').then((response) => response.json())")
-            person = PagePerson(scene, texts["welcome"]["hand"], texts["state"]["object"], goal)
+    with live_program(tmp_path) as (program, address, key):
+        page = headset(address, {"right": joints_of(in_world(0))}, None, key, receive)
+        until(page, lambda: "state" in texts and frames)
+        until(page, lambda: page.get_attribute("body", "data-state") == "tracking")
+        assert page.inner_text("#map") == "Universal map"
+        scene = page.evaluate("fetch('scene').then((response) => response.json())")
+        person = PagePerson(scene, texts["welcome"]["hand"], texts["state"]["object"], goal)
 
-            def judged() -> bool:
-                """One look at the page, and one movement."""
-                if frames:
-                    new, frames[:] = frames[:], []
-                    joints = person.hand(new, texts["state"]["engaged"])
-                    page.evaluate("hands => play(hands)", {"right": joints})
-                return texts["state"]["outcome"]["over"]
+        def judged() -> bool:
+            """One look at the page, and one movement."""
+            if frames:
+                new, frames[:] = frames[:], []
+                joints = person.hand(new, texts["state"]["engaged"])
+                page.evaluate("hands => play(hands)", {"right": joints})
+            return texts["state"]["outcome"]["over"]
 
-            page.keyboard.press(" ")
-            until(page, judged, 5)
-            outcome = texts["state"]["outcome"]
-            until(page, lambda: "Done" in page.inner_text("#task"))
-            program.send_signal(signal.SIGINT)
-            report = json.loads(program.communicate(timeout=PATIENCE_S)[0])
-        finally:
-            program.kill()
+        page.keyboard.press(" ")
+        until(page, judged, 5)
+        outcome = texts["state"]["outcome"]
+        until(page, lambda: "Done" in page.inner_text("#task"))
+        program.send_signal(signal.SIGINT)
+        report = json.loads(program.communicate(timeout=PATIENCE_S)[0])
     assert outcome["success"] and outcome["phase"] == "done", person.phase
     assert report["glove"]["refused"] == 0
 

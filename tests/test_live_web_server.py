@@ -5,12 +5,9 @@ import contextlib
 import functools
 import json
 import random
-import re
 import signal
 import socket
 import ssl
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -21,6 +18,7 @@ import trimesh
 from faults.sound import checkpoint
 from grasp_setup import plan_once
 from live_messages import headset, hello, station
+from live_page import live_program
 from pydrake.geometry import Mesh, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
@@ -287,19 +285,10 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
 def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
     """The command, driven by a page that sends a headset's joints; it leaves the session in three formats."""
     checkpoint(tmp_path)
-    with subprocess.Popen(
-        [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json",
-         "--retargeter", str(tmp_path / "checkpoint")],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    ) as program:  # fmt: skip
-        try:
-            line = next(line for line in program.stderr if "Hold up your hand" in line)
-            address, key = re.search(r"(http://\S+)/#(\S+)", line).groups()
-            scenes = asyncio.run(_drive(f"{address}/ws?key={key}"))
-            program.send_signal(signal.SIGINT)
-            out, log = program.communicate(timeout=3 * PATIENCE_S)
-        finally:
-            program.kill()
+    with live_program(tmp_path, "--retargeter", str(tmp_path / "checkpoint")) as (program, address, key):
+        scenes = asyncio.run(_drive(f"{address}/ws?key={key}"))
+        program.send_signal(signal.SIGINT)
+        out, log = program.communicate(timeout=3 * PATIENCE_S)
     assert program.returncode == 0, log
     assert scenes == {1, 2, 3}
     report = json.loads(out)

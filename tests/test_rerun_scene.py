@@ -2,6 +2,7 @@
 
 import io
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -87,17 +88,7 @@ def test_every_shape_of_drake_is_drawn_or_named(tmp_path):
 
 CORNERS = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]], dtype="<f4")
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype="<u2")
-VTK = """# vtk DataFile Version 3.0
-a tetrahedron
-ASCII
-DATASET UNSTRUCTURED_GRID
-POINTS 4 double
-0 0 0  0.3 0 0  0 0.2 0  0 0 0.1
-CELLS 1 5
-4 0 1 2 3
-CELL_TYPES 1
-10
-"""
+VTK = Path(__file__).with_name("tetrahedron.vtk").read_text("utf-8")
 OBJ = "v 0 0 0\nv 0.3 0 0\nv 0 0.2 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
 

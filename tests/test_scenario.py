@@ -58,9 +58,7 @@ def test_text_is_merged_over_the_file():
         ("{tiemout: 3}", "unknown field 'tiemout'; choose one of: .*timeout"),
         ("{object: {nam: cube}}", "unknown field 'object.nam'; choose one of: .*name"),
         ("{timeout: long}", "field timeout must be a number; given: 'long'"),
-        ("{object: {position: [0.5, left]}}", r"field object\.position\.1 must be a number; given: 'left'"),
         ("{object: cube}", "field object must be a mapping with some of: .*name.*; given: 'cube'"),
-        ("timeout", "must be a mapping with some of: .*timeout.*; given: 'timeout'"),
         ("{timeout: 3", r"line 1, column 12: expected ',' or '}', but got '<stream end>'$"),
         ("{timeout: .nan}", "timeout must be positive and finite, not nan"),
         ("{plant_config: {contact_model: glue}}", r"plant_config: .*'glue'"),
@@ -87,7 +85,6 @@ def test_wrong_values_and_models_that_do_not_fit_are_refused_by_name(text, messa
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
-        (b"- a\n- b\n", "must map names to scenarios"),
         (b"Grasp: " + b"[" * 5000 + b"]" * 5000, "must map names to scenarios"),
         (b"Grasp:\n  timeout: 5\n  object: {yaw: 0.1, yaw: 0.2}\n", "'yaw' is given twice in .* line 3"),
     ],
