@@ -118,9 +118,11 @@ class Oracle:
 def _try(scenario: Scenario, oracle: Oracle, most: int) -> dict:
     """Returns the number of plans, that of the first with a successful hold from 1 or 0, and outcomes."""
     try:
-        plans = GraspPlanner(scenario, oracle.description).plans(most)
+        goals = GraspPlanner(scenario, oracle.description).plans(most)
     except ScenarioError as error:
         return {"plans": 0, "held": 0, "outcomes": [str(error)]}
+    # Of the openings of a grasp, the oracle uses the widest, which is the last.
+    plans = list({goal.X_OB.GetAsMatrix4().tobytes(): goal for goal in goals}.values())
     outcomes: list[str] = []
     for goal in plans:
         recording = script(scenario, oracle, goal)

@@ -17,7 +17,9 @@ from geort_drake import load_hand
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.resources import object_names
+from geort_drake.simulation.free_play import keep_reached
 from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.scenario import object_file
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
@@ -66,8 +68,7 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
         contacts = grip_contacts(thing.shape, yaw, height, grip, offset=offset)
         assert [contact.part for contact in contacts] == list(GRIPS[grip].fingers)
         for contact in (*contacts, palm_contact(thing.shape, yaw, height)):
-            assert np.linalg.norm(contact.n_O) == pytest.approx(1)
-            assert abs(contact.n_O[2]) < 1e-12
+            assert np.linalg.norm(contact.n_O) == pytest.approx(1) and abs(contact.n_O[2]) < 1e-12
             assert contact.p_OC[2] - bottom >= TIP_RADIUS - 1e-9 or contact.part == "palm"
             tip = contact.p_OC - TIP_RADIUS * contact.n_O
             assert thing.distance(tip) == pytest.approx(TIP_RADIUS, abs=2e-3)
@@ -115,13 +116,11 @@ def test_a_planned_grasp_touches_and_nothing_collides(name):
     X_WB = plant.GetFrameByName(description.base_frame, hand).CalcPoseInWorld(context)
     X_WO = X_WB @ goal.X_OB.inverse()
     standing = [*scenario.object.position, scenario.object.support_height - lowest]
-    np.testing.assert_allclose(X_WO.translation()[:2], standing[:2], atol=1e-9)
-    sunk = standing[2] - X_WO.translation()[2]
-    assert 0 < sunk < 0.01
+    *aside, sunk = standing - X_WO.translation()
+    assert np.abs(aside).max() < 1e-9 and 0 < sunk < 0.01
     plant.SetFloatingBaseBodyPoseInWorldFrame(context, body, X_WO)
 
-    inspector = scene_graph.model_inspector()
-    query = query_of(plant, root)
+    inspector, query = scene_graph.model_inspector(), query_of(plant, root)
     tip_links = {finger.tip_link for finger in description.fingers}
 
     def body_of(geometry):
@@ -182,3 +181,15 @@ def test_a_hand_with_a_forearm_and_close_fingers_that_cannot_spread_grasps(name,
     assert description.mount.translation == pytest.approx([0, 0, 0.2], abs=2e-3)
     goal = GraspPlanner(scenario_with(name), description).plans(2)[0]
     assert goal.touches[:2].all()
+
+
+def test_a_person_who_cannot_show_the_widest_opening_gets_one_that_they_can():
+    """Of a hand whose index finger has two joints; all openings clear the object."""
+    description = load_hand("allegro_right")
+    description.fingers[1].joints = ["joint_1", "joint_2"]
+    goals = GraspPlanner(scenario_with("cylinder"), description, "pinch").plans(1)
+    assert np.ptp([goal.p_BF_open[0] for goal in goals], axis=0).max() > 0.05
+    for goal in (goals[0], goals[-1]):
+        assert 0.01 < goal.clearance < np.inf
+        kept, attainable = keep_reached(goals, FreePlay(goal.p_BF_open[None], goal.p_BF_open[None]))
+        assert attainable and np.linalg.norm(kept.p_BF_open[0] - goal.p_BF_open[0]) <= kept.clearance

@@ -23,7 +23,7 @@ _RISES = (0.0, 0.05, 0.10)
 _REACH_CLEARANCE = 0.03
 # Clearance of the fingers from there to the grasp, m, unless the grasp itself leaves less: the hand is open
 # only within a tolerance.
-_APPROACH_CLEARANCE = 0.012
+APPROACH_CLEARANCE = 0.012
 _SAMPLES = 9  # poses per movement at which distances are measured
 # Largest measured distance, m.
 _MAX_DISTANCE = 0.05
@@ -87,7 +87,7 @@ class GraspApproach:
         for rise, retreat in itertools.product(_RISES, _RETREATS):
             X_OB_before = RigidTransform([0, 0, rise]) @ X_OB @ RigidTransform([-retreat, 0, 0])
             approach = self._distance(X_OB_before, X_OB, q_open, fingers_only=True)
-            if approach >= min(0.9 * clearance, _APPROACH_CLEARANCE) and all(
+            if approach >= min(0.9 * clearance, APPROACH_CLEARANCE) and all(
                 self._distance(self._X_OB_start, X_OB_before, q) >= _REACH_CLEARANCE
                 for q in (q_open, self._q_start)
             ):
@@ -108,7 +108,7 @@ class GraspApproach:
         # The hand base need not be on the root link.
         X_RootB = self._plant.CalcRelativeTransform(self._plant_context, self._root.body_frame(), self._base)
         smallest = _MAX_DISTANCE
-        for t in np.linspace(0, 1, _SAMPLES):
+        for t in np.linspace(0, 1, 1 if X_OB_from is X_OB_to else _SAMPLES):
             self._plant.SetFloatingBaseBodyPoseInWorldFrame(
                 self._plant_context, self._root, movement.pose(t) @ X_RootB.inverse()
             )

@@ -123,9 +123,34 @@ class GraspKinematics:
         """Returns positions with the hand at its default, the arm as in q_touch; None in collision."""
         q, arm = self.q_default.copy(), self._arm_positions()
         q[arm] = q_touch[arm]
+        return None if self._collides(q) else q
+
+    def open_thumbs(self, q_touch: np.ndarray, number: int) -> list[np.ndarray]:
+        """Returns positions as `open_wide`, but with the thumb at different places; none in collision.
+
+        Of the `number` places, the first is the default one, and the others are random. Those nearest to the
+        touching thumb come first.
+        """
+        low, high = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
+        thumb = next(finger for finger in self._grasping if finger.name == "thumb")
+        joints = [self._position_index(name) for name in thumb.joints]
+        q, arm = np.tile(self.q_default, (number, 1)), self._arm_positions()
+        q[:, arm] = q_touch[arm]
+        q[1:, joints] = np.random.default_rng(0).uniform(low[joints], high[joints], (number - 1, len(joints)))
+        for c in followers(self._description):
+            q[:, self._position_index(c.joint)] = c.ratio * q[:, self._position_index(c.follows)] + c.offset
+        p_OT = self._thumb_tip(q_touch)
+        q = sorted(q, key=lambda one: float(np.linalg.norm(self._thumb_tip(one) - p_OT)))
+        return [one for one in q if not self._collides(one)]
+
+    def _thumb_tip(self, q: np.ndarray) -> np.ndarray:
+        return self.fingertips(q)[self._description.finger_names.index("thumb")]
+
+    def _collides(self, q: np.ndarray) -> bool:
+        """Whether anything collides at the plant's positions q."""
         self._plant.SetPositions(self._plant_context, q)
         query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
-        return None if query.HasCollisions() else q
+        return query.HasCollisions()
 
     def hand_pose(self, q: np.ndarray) -> RigidTransform:
         """Returns X_OB at the plant's positions q."""

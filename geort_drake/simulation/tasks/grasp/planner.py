@@ -10,12 +10,13 @@ import itertools
 from operator import itemgetter
 
 import numpy as np
+from pydrake.math import RigidTransform
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.finger_planner import require_fingers
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.approach import GraspApproach
+from geort_drake.simulation.tasks.grasp.approach import APPROACH_CLEARANCE, GraspApproach
 from geort_drake.simulation.tasks.grasp.contacts import (
     GRIPS,
     Contact,
@@ -40,6 +41,8 @@ _TRIES = 36
 _FALLBACK_GRIPS = {"power": "tripod", "tripod": "pinch"}
 # Opening of the fingertips around their contacts, m.
 _OPENING = 0.025
+# Number of places of an open thumb to try, for a hand that has a finger with one or two joints.
+_THUMBS = 64
 
 
 class GraspPlanner:
@@ -82,6 +85,8 @@ class GraspPlanner:
     def plans(self, enough: int = 20) -> list[GraspGoal]:
         """Returns up to `enough` different grasps, the most comfortable first; deterministic.
 
+        A grasp of a hand that has a finger with one or two joints is returned once for each opening.
+
         Raises:
             ScenarioError: no grasp is found.
         """
@@ -91,7 +96,7 @@ class GraspPlanner:
         if not found:
             found = self._search(robot.q_middle, [(offsets[0], robot.finger_spacing)], enough)
         if found:
-            return [goal for _, goal in sorted(found, key=itemgetter(0))]
+            return [goal for _, goals in sorted(found, key=itemgetter(0)) for goal in goals]
         if self._grip in _FALLBACK_GRIPS and self._tip_height is None:
             return GraspPlanner(self._scenario, self._description, _FALLBACK_GRIPS[self._grip]).plans(enough)
         raise ScenarioError(
@@ -101,14 +106,14 @@ class GraspPlanner:
 
     def _search(
         self, q_start: np.ndarray, distances: list[tuple[float, float | None]], enough: int
-    ) -> list[tuple[float, GraspGoal]]:
-        """Returns up to `enough` grasps with their costs.
+    ) -> list[tuple[float, list[GraspGoal]]]:
+        """Returns up to `enough` grasps with their costs, each with its openings.
 
         Args:
             q_start: initial positions of the plant.
             distances: `offset` and `spacing` of `grip_contacts`, in order of preference.
         """
-        found: list[tuple[float, GraspGoal]] = []
+        found: list[tuple[float, list[GraspGoal]]] = []
         for offset, spacing in distances:
             for candidate in self._candidates(q_start, offset, spacing)[:_TRIES]:
                 if len(found) == enough:
@@ -118,8 +123,8 @@ class GraspPlanner:
                     found.append(grasp)
         return found
 
-    def _grasp_from(self, candidate: "_Candidate") -> tuple[float, GraspGoal] | None:
-        """Returns cost and goal of a collision-free grasp that the open hand can approach, or None."""
+    def _grasp_from(self, candidate: "_Candidate") -> tuple[float, list[GraspGoal]] | None:
+        """Returns cost and goals of a collision-free grasp that the open hand can approach, or None."""
         robot = self._kinematics
         # At a low object, the support often separates the first guess from all solutions.
         guesses = (
@@ -130,32 +135,44 @@ class GraspPlanner:
         if solution is None:
             return None
         discomfort, q_touch = solution
-        # The whole hand opens to take an object into the palm, or if a finger has fewer than three joints
-        # and so cannot leave a surface in a straight line.
-        wide = candidate.palm is not None or self._fewest_joints < 3
-        q_open = robot.open_wide(q_touch) if wide else robot.open(candidate.contacts, _OPENING, q_touch)
-        if q_open is None:
-            return None
         X_OB = robot.hand_pose(q_touch)
-        waiting = self._approach.waiting_pose(X_OB, robot.joint_positions(q_open))
-        if waiting is None:
-            return None
-        X_OB_before, clearance = waiting
         names = tuple(finger.name for finger in self._description.fingers)
         normals = {contact.part: contact.n_O for contact in candidate.contacts}
-        goal = GraspGoal(
-            finger_names=names,
-            touches=np.array([name in normals for name in names]),
-            X_OB=X_OB,
-            X_OB_before=X_OB_before,
-            # A hand that opens wide need not keep its fingertips anywhere.
-            clearance=np.inf if wide else clearance,
-            p_BF_open=X_OB.inverse().multiply(robot.fingertips(q_open).T).T,
-            p_OF_touch=robot.fingertips(q_touch),
-            n_OF=np.array([normals.get(name, np.zeros(3)) for name in names]),
-            yaw_symmetry=yaw_candidates(robot.shape)[1],
-        )
-        return discomfort + candidate.penalty, goal
+        goals = [
+            GraspGoal(
+                finger_names=names,
+                touches=np.array([name in normals for name in names]),
+                X_OB=X_OB,
+                X_OB_before=X_OB_before,
+                clearance=clearance,
+                p_BF_open=X_OB.inverse().multiply(robot.fingertips(q_open).T).T,
+                p_OF_touch=robot.fingertips(q_touch),
+                n_OF=np.array([normals.get(name, np.zeros(3)) for name in names]),
+                yaw_symmetry=yaw_candidates(robot.shape)[1],
+            )
+            for q_open, X_OB_before, clearance in self._openings(candidate, q_touch, X_OB)
+        ]
+        return (discomfort + candidate.penalty, goals) if goals else None
+
+    def _openings(
+        self, candidate: "_Candidate", q_touch: np.ndarray, X_OB: RigidTransform
+    ) -> list[tuple[np.ndarray, RigidTransform, float]]:
+        """Returns positions of the open hand, X_OB of the waiting hand, and the clearance; best first."""
+        robot, palm = self._kinematics, candidate.palm is not None
+        if self._fewest_joints >= 3:
+            # The whole hand opens to take an object into the palm, and need not keep its fingertips anywhere.
+            q = robot.open_wide(q_touch) if palm else robot.open(candidate.contacts, _OPENING, q_touch)
+            waiting = None if q is None else self._approach.waiting_pose(X_OB, robot.joint_positions(q))
+            return [] if q is None or waiting is None else [(q, waiting[0], np.inf if palm else waiting[1])]
+        # A finger with fewer joints cannot leave a surface in a straight line. Fingers go to their default
+        # positions; the thumb has a choice, because a person may be unable to show its default position.
+        found = []
+        for q in robot.open_thumbs(q_touch, _THUMBS):
+            waiting = self._approach.waiting_pose(X_OB, robot.joint_positions(q))
+            if waiting is not None:
+                found.append((q, *waiting))
+        least = min(max((clearance for *_, clearance in found), default=0.0), APPROACH_CLEARANCE)
+        return [opening for opening in found if opening[2] >= 0.9 * least]
 
     def _candidates(self, q_start: np.ndarray, offset: float, spacing: float | None) -> list["_Candidate"]:
         """Returns contacts within reach, the most promising first; for the arguments see `_search`.
