@@ -46,8 +46,7 @@ FAMILY = [
 def test_fingers_base_and_side_are_found(spec, tmp_path):
     """The proposal equals the specification; tips without geometry are guessed. The next command fits."""
     description = propose(write_hand(tmp_path, spec)).description
-    assert description.side == spec.side
-    assert description.finger_names == spec.finger_names
+    assert (description.side, description.finger_names) == (spec.side, spec.finger_names)
     for number, finger in enumerate(description.fingers):
         # Thumbs have three joints; of four, the last one follows where there is mimicry.
         count = 3 if number == 0 or spec.mimic else 4
@@ -68,16 +67,12 @@ def test_fingers_base_and_side_are_found(spec, tmp_path):
 
 @pytest.mark.parametrize(
     "names",
-    [
-        ["thumb", "index", "middle", "ring", "pinky"],
-        ["rh_THJ5", "rh_FFJ4", "rh_MFJ4", "rh_RFJ4", "rh_LFJ4"],
-        ["th_cmc", "if_mcp", "mf_mcp", "rf_mcp", "lf_mcp"],
-    ],
+    ["thumb index middle ring pinky", "rh_THJ5 rh_FFJ4 rh_MFJ4 rh_RFJ4 rh_LFJ4", "th_x if_x mf_x rf_x lf_x"],
 )
 def test_fingers_are_known_by_usual_names(names):
     """Words, and two letters in either case; other words that contain these do not count."""
-    assert fingers_by_name([[name] for name in names]) == list(FINGER_NAMES)
-    assert fingers_by_name([[names[0]], ["shift_j0"]]) is None
+    assert fingers_by_name([[name] for name in names.split()]) == list(FINGER_NAMES)
+    assert fingers_by_name([[names.split()[0]], ["shift_j0"]]) is None
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
@@ -88,8 +83,7 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
     """
     coupled = HandModel(propose(write_hand(tmp_path, HandSpec(4, kind))).description)
     q = rng.uniform(coupled.lower, coupled.upper, (40, len(coupled.joint_names)))
-    p_BF = coupled.fingertips(q)
-    kinematics = coupled.kinematics()
+    p_BF, kinematics = coupled.fingertips(q), coupled.kinematics()
     np.testing.assert_allclose(kinematics.fingertips(torch.tensor(q)), p_BF, atol=1e-12)
     found, J = NumpyKinematics(kinematics).fingertips_and_jacobians(q)
     np.testing.assert_allclose(found, p_BF, atol=1e-12)
@@ -113,8 +107,7 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
             np.testing.assert_allclose(p_BS[row, number], X_BS.translation(), atol=1e-6)
     clearance = HandClearance(coupled, 0.05)
     near = clearance.near(q[0])
-    step = 1e-6 * rng.normal(size=q[0].size)
-    moved = clearance.near(q[0] + step)
+    moved = clearance.near(q[0] + (step := 1e-6 * rng.normal(size=q[0].size)))
     both = [pair for pair in near.pairs if pair in moved.pairs]
     here, there = ([found.pairs.index(pair) for pair in both] for found in (near, moved))
     change = moved.gap[there] - near.gap[here]
@@ -126,21 +119,15 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
 @pytest.mark.usefixtures("light_evaluation")
 def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
     """One command describes the hand, one trains for it; no code knows its joints."""
-    spec = FAMILY[2]
-    model = write_hand(tmp_path, spec)
+    model = write_hand(tmp_path, spec := FAMILY[2])
     file = tmp_path / "mine.yaml"
     run_command("add-hand", [str(model), "--output", str(file), "--rrd", str(tmp_path / "mine.rrd")])
     assert b"tips/index" in (tmp_path / "mine.rrd").read_bytes()
+    play = synthesize_play(seed=1, duration_s=60.0, rate_hz=30.0, side=spec.side)
     path = train_checkpoint(
-        file,
-        synthesize_play(seed=1, duration_s=60.0, rate_hz=30.0, side=spec.side),
-        tmp_path / "trained",
-        show_progress=False,
-        settings={"steps": 3},
-        robot_samples=1000,
+        file, play, tmp_path / "trained", show_progress=False, settings={"steps": 3}, robot_samples=1000
     )
-    hand = HandModel(file)
-    retarget = load_retargeter(path, hand)
+    retarget = load_retargeter(path, hand := HandModel(file))
     q = retarget(synthesize_play(seed=2, duration_s=1.0, rate_hz=30.0).p_HK.astype(float))
     assert ((hand.lower <= q) & (q <= hand.upper)).all()
     figures = json.loads((path / "metrics.json").read_text())
@@ -154,9 +141,8 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     file = tmp_path / "hand.yaml"
     run_command("add-hand", [str(model), "--name", "mine", "--output", str(file)])
     text = file.read_text(encoding="utf-8")
-    assert text.startswith(
-        "# Made by geort-drake add-hand from hand.urdf.\n# the model has no position controllers"
-    )
+    first, second, *_ = text.splitlines()
+    assert first == "# Made by geort-drake add-hand from hand.urdf." and "no position controllers" in second
     assert yaml.safe_load(text)["model"] == "hand.urdf"
     assert load_hand(file) == propose(model, "mine").description
     with pytest.raises(OutputError, match=r"hand\.yaml exists"):

@@ -63,8 +63,7 @@ def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
 def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
     """Collision geometry is as large as the visual geometry; the checks then find no fault."""
     model = drawn_alone(tmp_path, kind)
-    before = HandModel(propose(model).description)
-    assert "--hulls" in examine(before)[0]
+    assert "--hulls" in examine(HandModel(propose(model).description))[0]
     given = add_collisions(model)
     drawn = ["palm", *(f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4))]
     bare = {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"}
@@ -79,8 +78,7 @@ def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
 
 def test_the_command_describes_a_copy(tmp_path):
     """With --hulls; the model itself does not change, nor a folder of another kind in the copy's place."""
-    model = drawn_alone(tmp_path, "urdf")
-    before = model.read_bytes()
+    before = (model := drawn_alone(tmp_path, "urdf")).read_bytes()
     output = tmp_path / "described" / "hand.yaml"
     output.parent.mkdir()
     for _ in range(2):
@@ -104,9 +102,8 @@ BOX = trimesh.convex.convex_hull(CORNERS)
 def _glb() -> bytes:
     """With y up, twice as large, below a node of half the size."""
     box = BOX.copy()
-    box.apply_transform(
-        trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0]) @ np.diag([2, 2, 2, 1])
-    )
+    turn = trimesh.transformations.rotation_matrix(-np.pi / 2, [1, 0, 0])
+    box.apply_transform(turn @ np.diag([2, 2, 2, 1]))
     scene = trimesh.Scene()
     scene.add_geometry(box, transform=np.diag([0.5, 0.5, 0.5, 1]))
     return scene.export(file_type="glb")
@@ -177,9 +174,8 @@ def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
 def test_training_and_guard_see_the_hulls_that_drake_sees(tmp_path):
     """A wedge as palm leaves half of its box empty, and fingers bend into that half."""
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
-    wedge = np.array(
-        [[x, y, z] for y in (-0.033, 0.033) for x, z in ((-0.022, 0), (-0.022, 0.08), (0.07, 0))]
-    )
+    side = ((-0.022, 0), (-0.022, 0.08), (0.07, 0))
+    wedge = np.array([[x, y, z] for y in (-0.033, 0.033) for x, z in side])
     trimesh.convex.convex_hull(wedge).export(tmp_path / "parts" / "palm.stl")
     hand = HandModel(propose(convert_model(model, tmp_path / "copy", [])).description)
     shapes, q = collision_shapes(hand), hand.sample(500, seed=1)
@@ -220,9 +216,7 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 
 def test_an_unusable_mesh_is_named(content, message, tmp_path):
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
     mesh = tmp_path / "parts" / "palm.stl"
-    mesh.unlink()
-    if content is not None:
-        mesh.write_bytes(content)
+    mesh.unlink() if content is None else mesh.write_bytes(content)
     with pytest.raises(HandError, match=message) as error:
         convert_model(model, tmp_path / "copy", [])
     assert str(mesh) in str(error.value)
@@ -244,29 +238,37 @@ def tree(body: str, head: str = "") -> ET.Element:
     return ET.fromstring(f"<mujoco>{head}<worldbody><body>{body}</body></worldbody></mujoco>")
 
 
-def test_settings_reach_inner_classes(tmp_path):
-    """Axis, limits, gain and size, through a class without a joint, geom or motor, in an included file."""
+@pytest.mark.parametrize(
+    "servo",
+    ['position kp="7"', 'general biastype="affine" gainprm="7" biasprm="0 -7 0"'],
+    ids=lambda s: s[:8],
+)
+def test_settings_reach_inner_classes(servo, tmp_path):
+    """Axis, limits, gain and size, through a class without a joint, geom or motor, in an included file.
+
+    A servo's force is limited by its range of force, not by that of its input.
+    """
+    tag = servo.split()[0]
     (tmp_path / "classes.xml").write_text(
         '<mujoco><default><default class="a"><joint axis="1 0 0" range="0 1"/>'
-        '<geom type="sphere" size="0.03"/><position kp="7"/>'
+        f'<geom type="sphere" size="0.03"/><{servo} ctrlrange="0 1" forcerange="-5 5"/>'
         '<default class="b"><site/><default class="c"><geom rgba="1 0 0 1"/></default></default>'
         "</default></default></mujoco>",
         encoding="utf-8",
     )
     model = tree(
         '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="j" class="c"/><geom class="c"/>',
-        '<compiler angle="radian"/><include file="classes.xml"/><actuator><position joint="j" class="c"/>'
-        "</actuator>",
+        '<compiler angle="radian"/><include file="classes.xml"/><actuator>'
+        f'<{tag} joint="j" class="c"/></actuator>',
     )
-    path = tmp_path / "model.xml"
-    path.write_text(ET.tostring(model, encoding="unicode"), encoding="utf-8")
+    (tmp_path / "model.xml").write_bytes(ET.tostring(model))
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    parse_model(plant, path, "model")
+    parse_model(plant, tmp_path / "model.xml", "model")
     joint, inspector = plant.GetJointByName("j"), scene_graph.model_inspector()
     np.testing.assert_allclose(joint.revolute_axis(), [1, 0, 0])
     assert (joint.position_lower_limit(), joint.position_upper_limit()) == (0, 1)
     (motor,) = (plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices())
-    assert motor.get_controller_gains().p == 7
+    assert (motor.get_controller_gains().p, motor.effort_limit()) == (7, 5)
     (geometry,) = inspector.GetAllGeometryIds(Role.kProximity)
     assert inspector.GetShape(geometry).radius() == 0.03
 
@@ -317,8 +319,7 @@ def test_ignored_parts_are_named(tmp_path):
     more += '<tendon><spatial name="rope"/></tendon><actuator><motor tendon="rope"/></actuator>'
     model = write_hand(tmp_path, HandSpec(3, "xml"), changes={"</mujoco>": f"{more}</mujoco>"})
     notes = " ".join(propose(model).notes)
-    assert "tendon 'rope'" in notes
-    assert "closed loop at 'index_l3' and 'middle_l3'" in notes
+    assert "tendon 'rope'" in notes and "closed loop at 'index_l3' and 'middle_l3'" in notes
 
 
 INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
@@ -327,18 +328,16 @@ INERTIAL = f'<inertial><mass value="1"/>{INERTIA}</inertial>'
 
 def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fingers: int = 3):
     """A URDF of a torso with an arm on each side, each with a hand, and with legs of three joints."""
-    limit = '<limit lower="-1" upper="1" effort="9" velocity="2"/>'
+    moves = '<origin xyz="0 0.1 0.1"/><axis xyz="1 0 0"/>'
+    moves += '<limit lower="-1" upper="1" effort="9" velocity="2"/>'
     lines = [f'<link name="torso">{INERTIAL}</link>']
 
     def chain(name, count, kind="revolute"):
         parent = "torso"
         for number in range(count):
             link = f"{name}_{number}"
-            lines.append(f'<link name="{link}">{INERTIAL}</link>')
-            lines.append(
-                f'<joint name="{link}_joint" type="{kind}"><parent link="{parent}"/><child link="{link}"/>'
-                f'<origin xyz="0 0.1 0.1"/><axis xyz="1 0 0"/>{limit}</joint>'
-            )
+            lines.append(f'<link name="{link}">{INERTIAL}</link><joint name="{link}_joint" type="{kind}">')
+            lines.append(f'<parent link="{parent}"/><child link="{link}"/>{moves}</joint>')
             parent = link
         return parent
 
@@ -346,11 +345,8 @@ def _robot(folder, arm_joints: int, legs: int = 0, hands=("left", "right"), fing
         text = write_hand(folder, HandSpec(fingers, mimic=False, side=side), side).read_text(encoding="utf-8")
         inside = text[text.index(">") + 1 : text.rindex("<")]
         lines.append(re.sub(r'(name|link)="', rf'\1="{side}_', inside))
-        end = chain(f"{side}_arm", arm_joints)
-        lines.append(
-            f'<joint name="{side}_mount" type="fixed"><parent link="{end}"/>'
-            f'<child link="{side}_palm"/></joint>'
-        )
+        ends = f'<parent link="{chain(f"{side}_arm", arm_joints)}"/><child link="{side}_palm"/>'
+        lines.append(f'<joint name="{side}_mount" type="fixed">{ends}</joint>')
     for number in range(legs):
         chain(f"leg{number}", 3)
     path = folder / "robot.urdf"
@@ -380,22 +376,18 @@ def test_the_named_palm_of_a_robot_is_described(tmp_path, side):
     robot = _robot(tmp_path, 7, legs=2)
     run_command("add-hand", [str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
     description = load_hand(tmp_path / "hand.yaml")
-    assert description.side == side
-    assert description.base_pose.relative_to == f"{side}_palm"
-    assert {joint.partition("_")[0] for joint in description.joint_names} == {side}
-    assert len(description.joint_names) == 11
-    text = (tmp_path / "hand.yaml").read_text(encoding="utf-8")
-    assert "as each belongs to no finger: " in text
-    with pytest.raises(
-        UnknownNameError, match=r"unknown link of the model 'hand'; choose one of: .*left_palm"
-    ):
+    assert (description.side, description.base_pose.relative_to) == (side, f"{side}_palm")
+    assert [joint.partition("_")[0] for joint in description.joint_names] == [side] * 11
+    assert "as each belongs to no finger: " in (tmp_path / "hand.yaml").read_text(encoding="utf-8")
+    unknown = r"unknown link of the model 'hand'; choose one of: .*left_palm"
+    with pytest.raises(UnknownNameError, match=unknown):
         propose(robot, palm="hand")
 
 
 def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
     """An arm that carries all fingers, or a joint of the palm that carries two of four."""
-    described = propose(_robot(tmp_path, 7, hands=("right",))).description
-    assert described.finger_names == ["thumb", "index", "middle"]
+    names = propose(_robot(tmp_path, 7, hands=("right",))).description.finger_names
+    assert names == ["thumb", "index", "middle"]
     fold = (
         f'<link name="fold">{INERTIAL}</link><joint name="fold" type="revolute"><parent link="palm"/>'
         '<child link="fold"/><axis xyz="0 0 1"/><limit lower="0" upper="0.4" effort="1" velocity="1"/>'

@@ -229,10 +229,16 @@ def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
 
 
 def _actuate(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription) -> None:
-    """Gives the joints that fingers list motors with the description's gains; removes those of followers."""
-    for coupling in followers(description):
-        _remove_actuators(plant, plant.GetJointByName(coupling.joint, hand))
-    gains = description.actuation
+    """Gives the joints that fingers list motors with the description's gains; removes those of followers.
+
+    Without gains, the model's own are kept, and servos of followers are added to those of their leaders.
+    """
+    gains, couplings = description.actuation, followers(description)
+    for coupling in couplings:
+        joints = [plant.GetJointByName(name, hand) for name in (coupling.joint, coupling.follows)]
+        if gains.stiffness == 0:
+            _add_servo(plant, *joints, abs(coupling.ratio))
+        _remove_actuators(plant, joints[0])
     if gains.stiffness == 0:
         return
     existing = {actuator.joint().index(): actuator for actuator in _actuators(plant)}
@@ -246,6 +252,24 @@ def _actuate(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandD
             _remove_actuators(plant, joint)
             actuator = plant.AddJointActuator(f"{name}_motor", joint, gains.effort_limit or np.inf)
         actuator.set_controller_gains(PdControllerGains(p=gains.stiffness, d=gains.damping))
+
+
+def _add_servo(plant: MultibodyPlant, joint: Joint, leader: Joint, ratio: float) -> None:
+    """Adds a follower's servo to that of its leader, which moves the follower by `ratio`."""
+    servos = {a.joint().index(): a for a in _actuators(plant) if a.has_controller()}
+    if not {joint.index(), leader.index()} <= servos.keys():
+        return
+    own, moving = servos[joint.index()], servos[leader.index()]
+    given, added = moving.get_controller_gains(), own.get_controller_gains()
+    name, gear, inertia = moving.name(), moving.default_gear_ratio(), moving.default_rotor_inertia()
+    limit = moving.effort_limit() + ratio * own.effort_limit()
+    plant.RemoveJointActuator(moving)  # the effort limit of an existing actuator cannot change
+    servo = plant.AddJointActuator(name, leader, limit)
+    servo.set_default_gear_ratio(gear)
+    servo.set_default_rotor_inertia(inertia)
+    servo.set_controller_gains(
+        PdControllerGains(p=given.p + ratio**2 * added.p, d=given.d + ratio**2 * added.d)
+    )
 
 
 def _actuators(plant: MultibodyPlant) -> list:

@@ -5,7 +5,7 @@ import hashlib
 import math
 import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from pydrake.geometry import Convex, Mesh, SceneGraphInspector
@@ -30,7 +30,7 @@ def read_model(path: Path) -> ET.Element:
 
     MJCF is returned with its includes, absolute mesh paths and complete default classes: Drake 1.51 inherits
     an element's settings only if the inner class has such an element itself. Otherwise joints, geoms and
-    actuators lose their axes, limits, sizes and gains.
+    actuators lose their axes, limits, sizes and gains. Servos are returned as Drake reads them.
 
     Raises:
         HandError: the file is missing, a Git LFS pointer or not XML.
@@ -43,6 +43,7 @@ def read_model(path: Path) -> ET.Element:
         for outer in tree.iter("default"):  # outer classes come first
             for inner in outer.findall("default"):
                 _inherit(inner, outer)
+        _rewrite_servos(tree)
     return tree
 
 
@@ -77,6 +78,36 @@ def _inherit(inner: ET.Element, outer: ET.Element) -> None:
             inner.append(copy.deepcopy(settings))
         elif settings.tag != "default" and own is not None:
             own.attrib = {**settings.attrib, **own.attrib}
+
+
+def _rewrite_servos(tree: ET.Element) -> None:
+    """Turns general actuators that are position servos into `position`, and removes ranges of their inputs.
+
+    Drake 1.51 ignores `general`, and takes the range of a servo's input, rad, for its largest torque.
+    """
+    classes = {default.get("class", "main"): default for default in tree.iter("default")}
+    for servo in (*tree.iterfind("actuator/general"), *tree.iterfind("actuator/position")):
+        inherited = classes.get(servo.get("class", "main"), tree).find(servo.tag)
+        given = {**({} if inherited is None else inherited.attrib), **servo.attrib}
+        kp = given.get("kp", "1")
+        if servo.tag == "general":
+            kp = _servo_gain(given)
+            if not kp:
+                continue
+        servo.tag = "position"
+        kept = ("name", "class", "joint", "tendon", "gear", "forcerange", "forcelimited")
+        servo.attrib = {name: given[name] for name in kept if name in given}
+        servo.attrib |= {"kp": kp, "ctrllimited": "false"}
+
+
+def _servo_gain(general: Mapping[str, str]) -> str:
+    """Returns the gain of a general actuator with force gain · (input − position); "" for any other."""
+    gain, bias = (general.get(name, "").split() for name in ("gainprm", "biasprm"))
+    try:
+        is_servo = general.get("biastype") == "affine" and float(bias[1]) == -float(gain[0])
+    except (ValueError, IndexError):
+        return ""
+    return gain[0] if is_servo else ""
 
 
 def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]]:
