@@ -235,10 +235,10 @@ def _actuate(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandD
     """
     gains, couplings = description.actuation, followers(description)
     for coupling in couplings:
-        joints = [plant.GetJointByName(name, hand) for name in (coupling.joint, coupling.follows)]
+        joint = plant.GetJointByName(coupling.joint, hand)
         if gains.stiffness == 0:
-            _add_servo(plant, *joints, abs(coupling.ratio))
-        _remove_actuators(plant, joints[0])
+            _add_servo(plant, joint, plant.GetJointByName(coupling.follows, hand), abs(coupling.ratio))
+        _remove_actuators(plant, joint)
     if gains.stiffness == 0:
         return
     existing = {actuator.joint().index(): actuator for actuator in _actuators(plant)}

@@ -140,8 +140,8 @@ class GraspKinematics:
         for c in followers(self._description):
             q[:, self._position_index(c.joint)] = c.ratio * q[:, self._position_index(c.follows)] + c.offset
         p_OT = self._thumb_tip(q_touch)
-        q = sorted(q, key=lambda one: float(np.linalg.norm(self._thumb_tip(one) - p_OT)))
-        return [one for one in q if not self._collides(one)]
+        nearest = np.argsort([np.linalg.norm(self._thumb_tip(one) - p_OT) for one in q])
+        return [one for one in q[nearest] if not self._collides(one)]
 
     def _thumb_tip(self, q: np.ndarray) -> np.ndarray:
         return self.fingertips(q)[self._description.finger_names.index("thumb")]
