@@ -12,6 +12,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+import yaml
 from light_training import train_lightly
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
@@ -200,41 +201,7 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
 TINY = {"steps": 3}
 SETTINGS = " ".join(f"--set {name}={value}" for name, value in TINY.items())
 SHORT = "--scenario-text '{timeout: 0.3, monitor: {hold_time: 0.01}}'"
-# Name → commands that follow each other, each with a key of the JSON that it prints, or None without --json.
-CHAINS = {
-    "recordings": {
-        "synthesize play.npz --duration 60 --rate 30": None,
-        "synthesize people --people 1 --duration 5": None,
-        "convert hand.npy copy.npz": "verdict",
-        "check-recording copy.npz": "verdict",
-        "export copy.npz hand.rrd --format rrd": "episodes",
-        "publish short.npz --to pub+ipc://glove": None,
-    },
-    "retargeters": {
-        f"train --recording hand.npz --output map --robot-samples 1000 {SETTINGS}": "coverage",
-        "pretrain --output everyone.safetensors --people 4 --set steps=2": None,
-        "refit hand.npz refitted --map everyone.safetensors --steps 2": "coverage",
-        "evaluate --recording hand.npz --methods nearest_neighbour --frames 10 --held-out 2": "methods",
-        "explore --recording hand.npz --methods refitted hold --duration 0.5 --output e.rrd": None,
-        "live --glove hand.npz --retargeter map --engage now --duration 0.5": "states",
-    },
-    "grasps": {
-        f"grasp --objects cylinder --recording hand.npz --output run {SHORT}": "trials",
-        f"grasp --objects cube --retargeter affine_ik --no-rerun --output untrained {SHORT}": "trials",
-        "export run parquet": "episodes",
-        "export run lerobot --format lerobot --fps 10": "episodes",
-        "stand-in-robot --duration 0.2": None,
-    },
-    "benchmarks": {
-        f"benchmark --methods hold --objects cylinder --trials 1 --jobs 1 --output five {SHORT}": "methods",
-        "benchmark --report --output five": "methods",
-        "benchmark --rrd hold cylinder 0 --output five": None,
-        f"grasp --objects cube --retargeter tiny --no-rerun --output kept {SHORT}": "trials",
-        f"replay kept/cube-0.glove.npz --retargeter tiny --trials 1 --jobs 1 --perturb mass=0.2 {SHORT}": (
-            "errors"
-        ),
-    },
-}
+CHAINS = yaml.safe_load(Path(__file__).with_name("commands.yaml").read_text("utf-8"))
 
 
 def tiny(hand, recording, path, method="geort_coupled", seed=0, device="cpu", settings=None, **_):
@@ -270,7 +237,7 @@ def test_commands_run(chain, tiny_work, capsys):
     """
     capsys.readouterr()
     for line, key in CHAINS[chain].items():
-        name, *words = shlex.split(line)
+        name, *words = shlex.split(line.format(settings=SETTINGS, short=SHORT))
         assert run_command(name, [*words, *(["--json"] if key else [])]) == 0
         captured = capsys.readouterr()
         assert key in json.loads(captured.out) if key else captured.out == ""

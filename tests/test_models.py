@@ -1,7 +1,10 @@
 """The models in models/sdf against their makers' descriptions, data sheets and physics."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from model_scene import OBJECTS, SDF_FILES, Scene
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
@@ -12,6 +15,7 @@ from geort_drake.resources import models_dir
 from geort_drake.simulation.object_shape import object_shape
 
 SDF = models_dir() / "sdf"
+PUBLISHED = yaml.safe_load(Path(__file__).with_name("published_models.yaml").read_text("utf-8"))
 # The manufacturer's masses in kg: palm, three fingers and a thumb with four links and a tip each.
 ALLEGRO_MASSES = [0.4154, *3 * (0.0119, 0.065, 0.0355, 0.0096, 0.0168), 0.0176, 0.0119, 0.038, 0.0388, 0.0168]
 
@@ -55,42 +59,16 @@ def test_objects_stand_on_the_plinth(path):
     assert np.linalg.norm(speed.translational()) < 1e-3
 
 
-# Fingertips in mm at angles of joint_0 to joint_15, from the makers' descriptions evaluated independently,
-# and the frame that they are in, in the hand base. Allegro: sphere centres.
-ALLEGRO_TIPS = (
-    [0.118, 1.424, 1.287, 0.189, -0.188, 1.382, -0.164, 1.288]
-    + [0.279, 0.649, 0.397, 0.287, 0.552, 0.459, 0.736, 0.879],
-    {
-        "index": [75.31, 49.21, -38.7],
-        "middle": [103.08, -19.61, 19.02],
-        "ring": [88.27, -25.71, 85.29],
-        "thumb": [64.22, 82.19, -9.51],
-    },
-    RigidTransform(),
-)
-# LEAP: centres of the pads' round ends in the published palm frame, with x along the fingers, y towards the
-# index side, z out of the back.
-LEAP_TIPS = (
-    [1.038, 1.703, 0.982, 2.015, -0.596, 0.094, 0.959, -0.26]
-    + [-0.972, 0.996, 0.609, 1.843, 1.188, 1.028, 0.34, -0.543],
-    {
-        "index": [-47.03, 12.14, -49.18],
-        "middle": [79.8, -0.4, -83.79],
-        "ring": [-20.78, -71.52, -82.31],
-        "thumb": [-79.04, 41.27, -140.49],
-    },
-    RigidTransform(RotationMatrix.MakeYRotation(-np.pi / 2), [-0.0187, 0.038, 0.007]),
-)
-
-
-@pytest.mark.parametrize(("name", "published"), [("allegro", ALLEGRO_TIPS), ("leap", LEAP_TIPS)])
-def test_fingertips_agree_with_the_makers_description(name, published, request):
+@pytest.mark.parametrize("name", PUBLISHED["fingertips"])
+def test_fingertips_agree_with_the_makers_description(name, request):
     """To 0.1 mm."""
-    hand, (angles, wanted, X_BP) = request.getfixturevalue(name), published
-    named = {f"joint_{i}": angle for i, angle in enumerate(angles)}
+    hand, published = request.getfixturevalue(name), PUBLISHED["fingertips"][name]
+    R_BP = RotationMatrix.MakeYRotation(np.deg2rad(published["turn_deg"]))
+    X_BP = RigidTransform(R_BP, published["translation"])
+    named = {f"joint_{i}": angle for i, angle in enumerate(published["angles"])}
     tips = hand.fingertips(np.array([named[joint] for joint in hand.joint_names]))
     for finger, tip in zip(hand.finger_names, tips, strict=True):
-        np.testing.assert_allclose(1e3 * (X_BP.inverse() @ tip), wanted[finger], atol=0.1)
+        np.testing.assert_allclose(1e3 * (X_BP.inverse() @ tip), published["tips"][finger], atol=0.1)
 
 
 @pytest.mark.parametrize(("name", "count", "rate"), [("allegro", 20_000, 0.3431), ("leap", 5000, 0.7912)])
@@ -145,26 +123,13 @@ def test_links_of_the_left_allegro_are_those_of_the_right_one_mirrored(allegro, 
         np.testing.assert_allclose(inertia, mirror @ expected @ mirror, rtol=1e-9, atol=1e-15)
 
 
-# Franka's modified Denavit-Hartenberg parameters a, d in m and alpha in rad, frame 1 to flange.
-PANDA_DH = [
-    (0.0, 0.333, 0.0),
-    (0.0, 0.0, -np.pi / 2),
-    (0.0, 0.316, np.pi / 2),
-    (0.0825, 0.0, np.pi / 2),
-    (-0.0825, 0.384, -np.pi / 2),
-    (0.0, 0.0, np.pi / 2),
-    (0.088, 0.0, np.pi / 2),
-    (0.0, 0.107, 0.0),
-]
-
-
 def test_panda_agrees_with_its_denavit_hartenberg_table(panda, rng):
     """The flange's pose is the product of Franka's link transforms, for any joint positions."""
     for q in rng.uniform(-2, 2, (20, 7)):
         panda.set_joints({f"panda_joint{i + 1}": angle for i, angle in enumerate(q)})
         X = RigidTransform()
-        for (a, d, alpha), theta in zip(PANDA_DH, [*q, 0.0], strict=True):
-            X = X @ RigidTransform(RotationMatrix.MakeXRotation(alpha), [a, 0, 0])
+        for (a, d, alpha), theta in zip(PUBLISHED["panda"], [*q, 0.0], strict=True):
+            X = X @ RigidTransform(RotationMatrix.MakeXRotation(np.deg2rad(alpha)), [a, 0, 0])
             X = X @ RigidTransform(RotationMatrix.MakeZRotation(theta), [0, 0, 0])
             X = X @ RigidTransform([0, 0, d])
         flange = panda.plant.GetFrameByName("panda_link8").CalcPoseInWorld(panda.context)

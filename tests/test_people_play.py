@@ -1,9 +1,11 @@
 """Synthetic play and a population of people: reproducible, and in the range that real recordings span."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from joint_angles import fitted_keypoints
 
 from geort_drake import Recording, read_recording, synthesize_play
@@ -15,26 +17,7 @@ from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, wrist_pose
 from geort_drake.people.population import sample_person, sample_population
 from geort_drake.people.recording import PINCH_M
 
-# Statistics of two real recordings (`statistics`): "GeoRT" is human_alex.npy of GeoRT's authors
-# (30 Hz assumed), "MANUS" is subject 000, run 010, of mimic_retargeter_lab's MANUS Metagloves Pro
-# recordings. Fingers thumb to little.
-REAL = {
-    "GeoRT": {
-        # standard deviations along the clouds' principal axes, mm
-        "principal_std": [[24.3, 13.2, 5.1], [42.4, 20.5, 4.4], [41.4, 25.5, 3.3], [36.8, 19.9, 3.3],
-                          [29.3, 16.9, 5.0]],
-        "speed_median": [34.5, 29.7, 34.0, 27.2, 23.2],  # mm/s
-        "speed_p95": [262.3, 460.4, 445.0, 375.4, 283.0],
-        "any_pinch_share": 30.6,  # % of frames, thumb within 15 mm of a finger
-    },
-    "MANUS": {
-        "principal_std": [[43.5, 16.2, 8.2], [42.3, 23.0, 10.6], [47.7, 22.5, 9.8], [47.5, 23.0, 9.0],
-                          [30.4, 14.4, 8.9]],
-        "speed_median": [64.1, 91.6, 134.9, 121.2, 64.2],
-        "speed_p95": [595.3, 1109.1, 1128.4, 1114.5, 652.2],
-        "any_pinch_share": 34.3,
-    },
-}  # fmt: skip
+REAL = yaml.safe_load(Path(__file__).with_name("real_play.yaml").read_text("utf-8"))
 # How far outside the two real recordings' figures the synthetic ones may be.
 FACTOR = 1.35
 

@@ -371,7 +371,6 @@ def test_a_person_learns_how_the_robots_fingertip_follows():
 @pytest.mark.parametrize(
     ("task", "lacks", "message"),
     [
-        ("keys", "ring", "the keys need a ring; hand 'allegro_right' has: thumb, index"),
         ("trigger", "ring", "the trigger needs a ring; hand 'allegro_right' has: thumb, index"),
         ("cap", "thumb", "the cap needs a thumb; hand 'allegro_right' has: index"),
         ("tracking", "thumb", "tracking needs a thumb; hand 'allegro_right' has: index"),

@@ -53,11 +53,9 @@ def test_the_cylinder_is_lifted_through_a_known_map():
     assert order == sorted(order)
     assert set(result.phase_times) <= {phase.name for phase in GraspPhase}
     assert 2.0 < result.completion_time < 12.0
-    assert result.completion_time == pytest.approx(result.phase_times["DONE"] - 0.5, abs=0.011)
     assert result.simulated_time == pytest.approx(result.phase_times["DONE"], abs=0.011)
     assert 0.10 < result.peak_height < 0.20
     assert sum(result.phase_durations.values()) == pytest.approx(result.simulated_time, abs=0.011)
-    assert result.phase_durations["HOLD"] == pytest.approx(0.5, abs=0.011)
     assert 0 < result.slip < 0.05
     assert result.tip_success and set(result.holding) <= {"link_15", "link_3", "link_7"}
     assert result.operator_phase in ("lift", "hold") and 0 <= result.self_contact <= 1
