@@ -14,6 +14,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+import yaml
 from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
@@ -241,6 +242,7 @@ def refused(tmp_path, inputs, monkeypatch, capsys):
     return run
 
 
+REFUSED = yaml.safe_load(Path(__file__).with_name("refused_requests.yaml").read_text("utf-8"))
 READERS = {
     "grasp": "grasp --output out --recording {}",
     "train": "train --output out --recording {}",
@@ -263,56 +265,10 @@ def test_an_unusable_recording_is_refused(refused, fault):
         refused(line.format(f"@/{fault}"), *UNREADABLE[fault])
 
 
-@pytest.mark.parametrize(
-    ("line", "parts"),
-    [
-        ("grasp --objects cylinder teapot", ["unknown object 'teapot'", "cylinder", "sphere"]),
-        ("grasp --retargeter magic", ["unknown retargeting method or checkpoint 'magic'", "geort"]),
-        ("grasp --hand file", ["file: a hand is described in .yaml; geort-drake add-hand describes a model"]),
-        ("grasp --hand claw", ["unknown hand 'claw'", "allegro_right", "leap_right"]),
-        ("grasp --hand allegro_left --recording @/no_wrist.npz", ["no_wrist.npz", "right hand", "left one"]),
-        ("grasp --scenario-name Lift", ["unknown scenario", "'Lift'", "Grasp"]),
-        ("grasp --scenario-file nowhere.yaml", ["nowhere.yaml does not exist"]),
-        ("grasp --replay @/no_wrist.npz", ["no_wrist.npz", "needs wrist poses", "--scenario-name Fixed"]),
-        ("grasp --scenario-name Fixed", ["scenario 'Fixed': the operator cannot grasp with a fixed base"]),
-        ("grasp --output file/runs", ["file", "directory"]),
-        ("grasp --output @/map", ["contains results of geort-drake train or refit (weights.safe"]),
-        ("benchmark --output @/run", ["run: contains results of geort-drake grasp (results.json)"]),
-        ("grasp --scenario-text '{correction: {kind: policy, policy: a.pt}}'", ["a.pt: no such policy file"]),
-        ("grasp --trials 0", ["--trials", "at least 1", "0"]),
-        ("train --output out --hand claw.yaml", ["claw.yaml is missing"]),
-        ("train --output out --set speed", ["NAME=VALUE", "'speed'"]),
-        ("train --output out --set steps=many", ["steps", "int", "'many'"]),
-        ("train --output out --set collision=0", ["collision must be positive"]),
-        ("train --output out --preset public", ["preset of geort, not of geort_coupled"]),
-        ("train --output .", ["exists and is not a checkpoint"]),
-        ("evaluate --recording @/good.npy --methods hold magic", ["'magic'", "geort", "vector_online"]),
-        ("evaluate --recording @/good.npy --score-on @/good.npy", ["good.npy", "give another one"]),
-        ("evaluate --recording @/good.npy --held-out 181", ["held-out blocks must be 2 to 180", "not 181"]),
-        ("synthesize out.npz --duration inf", ["--duration", "finite"]),
-        ("synthesize out.npz --hand-of @/three.npy", ["three.npy: fitting a hand needs at least 10 valid"]),
-        ("grasp --hand @/weightless.yaml", ["'weightless': joints that move no mass", "thumb_j1", ".urdf"]),
-        ("synthesize out.npz --duration 1e6", ["--duration times --rate may be at most 5,000,000 frames"]),
-        ("convert @/good.npy file/out.npz", ["file", "directory"]),
-        ("convert @/no_wrist.npz @/no_wrist.npz --mirror", ["no_wrist.npz: choose another file"]),
-        ("explore --output e.rrd --duration 1000", ["--duration must be from 0.1 to 600, not 1000"]),
-        ("benchmark --rrd hold cylinder", ["--rrd: give METHOD OBJECT SEED [CONDITION]"]),
-        ("benchmark --methods ../../../etc", ["unknown retargeting method or checkpoint '../../../etc'"]),
-        ("export @/no_wrist.npz out --fps 3", ["--fps: Parquet keeps every sample"]),
-        ("export @/no_wrist.npz out.mp4 --format rrd", ["out.mp4: the name must end with .rrd"]),
-        ("live --port 99999", ["--port", "a port from 0 to 65535, not '99999'"]),
-        ("live --glove @/no_wrist.npz --record @/no_wrist.npz", ["no_wrist.npz exists; choose another file"]),
-        ("live --record file/runs", ["file/runs: file is not a directory"]),
-        ("live --glove lcm --robot lcm --meshcat", ["--meshcat shows the simulation"]),
-        ("live --glove lcm --robot real", ["address 'real': give one of"]),
-        ("live --glove lcm --robot lcm --hand leap_right", ["has no LCM messages"]),
-        ("add-hand nowhere.urdf", ["nowhere.urdf"]),
-        ("add-hand nowhere.urdf --output hand.txt", ["the name must end with .yaml"]),
-    ],
-)
-def test_an_impossible_request_is_refused(refused, line, parts):
+@pytest.mark.parametrize("line", REFUSED)
+def test_an_impossible_request_is_refused(refused, line):
     """Names, numbers, inputs and outputs are checked before anything is trained, planned or simulated."""
-    refused(line, *parts)
+    refused(line, *REFUSED[line])
 
 
 def test_a_backend_that_is_not_installed_is_refused(refused, monkeypatch):
