@@ -13,13 +13,7 @@ from pydrake.systems.framework import Context, InputPort, LeafSystem, ValueProdu
 from geort_drake.hands.chains import finger_links
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import tip_geometries
-from geort_drake.systems.contacts import (
-    bodies_of_geometries,
-    contact_bodies,
-    contact_force,
-    contact_geometries,
-    contact_infos,
-)
+from geort_drake.systems.contacts import bodies_of_geometries, contact_geometries, contact_rows
 from geort_drake.systems.port_values import pose_to_vector
 
 
@@ -116,20 +110,17 @@ class SceneView(LeafSystem):
 
     def _calc_contacts(self, context: Context, output: AbstractValue) -> None:
         results = self._contacts.Eval(context)
-        touched, forces, self_contact = [], [], 0.0
-        for info in contact_infos(results):
-            A, B = contact_bodies(info, self._body_of_geometry)
+        force, self_contact = [0.0] * len(self.links), 0.0
+        rows = contact_rows(results, self._body_of_geometry)
+        bodies, magnitudes = rows[:, :2].tolist(), np.linalg.norm(rows[:, 5:], axis=1).tolist()
+        for row, ((A, B), magnitude) in enumerate(zip(bodies, magnitudes, strict=True)):
             if A in self._parts or B in self._parts:
                 link = self._number_of_link.get(B if A in self._parts else A)
                 if link is not None:
-                    touched.append(link)
-                    forces.append(contact_force(info))
+                    force[link] = max(force[link], magnitude)
             elif A in self._number_of_link and B in self._number_of_link and not self_contact:
-                self_contact = float(not self._tip_geometries.issuperset(contact_geometries(info)))
-        force = [0.0] * len(self.links)
-        if touched:
-            for link, magnitude in zip(touched, np.linalg.norm(forces, axis=1).tolist(), strict=True):
-                force[link] = max(force[link], magnitude)
+                only_tips = self._tip_geometries.issuperset(contact_geometries(results, row))
+                self_contact = float(not only_tips)
         output.set_value(
             {
                 "link_contact": force,
