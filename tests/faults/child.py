@@ -26,6 +26,7 @@ _FORK.set_forkserver_preload(
         "geort_drake.benchmark.report",
         "geort_drake.simulation.trial",
         "geort_drake.rerun",
+        "torch._dynamo",  # which torch imports when it first trains
     ]
 )
 
