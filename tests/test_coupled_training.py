@@ -26,7 +26,7 @@ from geort_drake.retargeting.training.kinematics import HandKinematics
 from geort_drake.retargeting.training.networks import RetargetingNetwork
 
 KEYPOINTS = [4, 8, 12]
-QUICK = CoupledConfig(steps=150)
+QUICK = CoupledConfig(steps=120)
 
 
 def quick(seed=0, shapes=None, **settings):
@@ -80,7 +80,7 @@ def test_a_pinch_out_of_the_robots_reach_does_not_spoil_the_map():
     X_PJ = index.X_PJ.copy()
     X_PJ[0, 1, 3] = 0.5
     hand = dataclasses.replace(HAND, fingers=(thumb, dataclasses.replace(index, X_PJ=X_PJ), middle))
-    history = train_coupled(toy_data(hand, HUMAN), QUICK).history
+    history = train_coupled(toy_data(hand, HUMAN), dataclasses.replace(QUICK, steps=150)).history
     last = {name: np.mean([row[name] for row in history[-10:]]) for name in history[-1]}
     assert last["direction"] < 0.15 and last["track"] < 0.15
     assert last["open_pinch"] < 0.5
@@ -97,7 +97,7 @@ def test_fingers_with_one_motor_follow_the_person():
     ]
     names = [chain.joint_names[0] for chain in fingers]
     hand = HandKinematics(tuple(fingers), tuple(names), np.full(3, -0.2), np.full(3, 1.2), HAND.tip_radius)
-    history = train_coupled(toy_data(hand, HUMAN), dataclasses.replace(QUICK, steps=120)).history
+    history = train_coupled(toy_data(hand, HUMAN), QUICK).history
     last = {name: np.mean([row[name] for row in history[-10:]]) for name in history[-1]}
     assert last["direction"] < 0.6 and last["track"] < 0.5
     assert last["uneven"] < 0.1
