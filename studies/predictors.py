@@ -203,22 +203,29 @@ def measure(path: Path, benchmark: Benchmark, recording: Recording) -> None:
 
 
 def draw(result: Mapping[str, Any], path: Path) -> None:
-    """Draws the effects on the score, one panel a task and kind."""
+    """Draws the effects on the score, one panel a task and one color a kind of person."""
     import matplotlib.pyplot as plt
 
+    tasks = list(dict.fromkeys(name.split()[0] for name in result["cells"]))
     places = np.arange(len(CRITERIA))[::-1]
-    figure, axes = plt.subplots(1, len(result["cells"]), sharey=True, squeeze=False, figsize=(9, 3), dpi=120)
-    for axis, (name, cell) in zip(axes[0], result["cells"].items(), strict=True):
-        effects = [cell["criteria"][criterion.label]["points"] for criterion in CRITERIA]
-        middle = np.array([effect["effect"] for effect in effects])
-        margin = np.array([[e["effect"] - e["low"], e["high"] - e["effect"]] for e in effects]).T
+    figure, axes = plt.subplots(
+        1, len(tasks), sharex=True, sharey=True, squeeze=False, figsize=(9, 3.4), dpi=120
+    )
+    for axis, task in zip(axes[0], tasks, strict=True):
         axis.axvspan(-POINTS, POINTS, color="0.92")
         axis.axvline(0.0, color="0.6", linewidth=0.8)
-        axis.errorbar(middle, places, xerr=margin, fmt="o", markersize=4, capsize=2)
-        axis.set_title(f"{name}\n{cell['trials']} trials", fontsize=8)
+        cells = {name.split()[1]: cell for name, cell in result["cells"].items() if name.split()[0] == task}
+        for number, (kind, cell) in enumerate(cells.items()):
+            effects = [cell["criteria"][criterion.label]["points"] for criterion in CRITERIA]
+            middle = np.array([effect["effect"] for effect in effects])
+            margin = np.array([[e["effect"] - e["low"], e["high"] - e["effect"]] for e in effects]).T
+            at = places + 0.25 * (1 - number)
+            axis.errorbar(middle, at, xerr=margin, fmt="o", markersize=4, capsize=2, label=kind)
+        axis.set_title(task, fontsize=9)
         axis.tick_params(labelsize=8)
     axes[0][0].set_yticks(places, [criterion.label.removeprefix("log ") for criterion in CRITERIA])
     figure.supxlabel("effect of spoiling the criterion, points of score", fontsize=8)
+    figure.legend(*axes[0][0].get_legend_handles_labels(), loc="lower left", fontsize=8, frameon=False)
     figure.tight_layout()
     figure.savefig(path)
     plt.close(figure)
