@@ -121,8 +121,9 @@ def _try(scenario: Scenario, oracle: Oracle, most: int) -> dict:
         goals = GraspPlanner(scenario, oracle.description).plans(most)
     except ScenarioError as error:
         return {"plans": 0, "held": 0, "outcomes": [str(error)]}
-    # Of the openings of a grasp, the oracle uses the widest, which is the last.
-    plans = list({goal.X_OB.GetAsMatrix4().tobytes(): goal for goal in goals}.values())
+    # Of the openings of a grasp, the oracle uses the first, with the nearest thumb.
+    grasps = {goal.X_OB.GetAsMatrix4().tobytes(): goal for goal in reversed(goals)}
+    plans = list(grasps.values())[::-1]
     outcomes: list[str] = []
     for goal in plans:
         recording = script(scenario, oracle, goal)
