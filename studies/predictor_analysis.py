@@ -228,10 +228,10 @@ def analyse(
     """
     designed = np.array([each.get("levels") is not None for each in maps.values()])
     levels = np.array([each["levels"] for each in maps.values() if each.get("levels") is not None], float)
-    X = np.array(
+    figures = np.array(
         [[c.value(each) if each["figures"] else math.nan for c in CRITERIA] for each in maps.values()]
     )
-    X = (X - np.nanmean(X, axis=0)) / np.nanstd(X, axis=0)
+    X = (figures - np.nanmean(figures, axis=0)) / np.nanstd(figures, axis=0)
     result: dict[str, Any] = {"cells": {}, "verdicts": {}}
     answers: dict[str, dict[str, dict[str, str]]] = {criterion.label: {} for criterion in CRITERIA}
     for (task, kind), (scores, times) in cells.items():
@@ -254,7 +254,7 @@ def analyse(
                 "points": points[place],
                 "percent": percent[place],
                 "dominance": float(shares[column]),
-                "threshold": threshold(x, y, column, criterion.more) if enough else None,
+                "threshold": threshold(figures[known], y, column, criterion.more) if enough else None,
                 "answer": given,
             }
         result["cells"][f"{task} {kind}"] = {
