@@ -175,6 +175,8 @@ def test_linear_offline_learns_the_scaled_hand():
 
 
 def test_unknown_names_and_senseless_settings_are_refused(kinematics):
+    with pytest.raises(UnknownNameError, match="dexpilot_online, hold, nearest_neighbour, vector_online"):
+        make_untrained("mimic", kinematics)
     with pytest.raises(GeortError, match="recorded frames"):
         make_untrained("nearest_neighbour", kinematics)
     with pytest.raises(HandError, match="needs a thumb"):

@@ -102,6 +102,7 @@ def test_a_glove_is_chosen_by_its_serial_number():
 REFUSED = {
     "no text": (bytes(range(256)), "expected 176 values"),
     "cut off": (own()[:-1], "not JSON"),
+    "deeply nested": (b'{"a":' * 10_000, "not JSON"),
     "another object": (b"{}", "neither of format"),
     "too long": (own() + b" " * MAX_BYTES, "at most 65536 are read"),
     "NaN": (own(time=float("nan")), "NaN is no number"),
@@ -114,7 +115,9 @@ REFUSED = {
     "no side": (own(side="both"), "side must be one of left, right"),
     "24 nodes": (dumped({**NODES, "raw_nodes": NODES["raw_nodes"][:24]}), "raw_nodes must be"),
     "a node twice": (dumped({**NODES, "raw_nodes": [NODES["raw_nodes"][0]] * 25}), "node_id from 0 to 24"),
+    "nodes of nothing": (dumped({**NODES, "raw_nodes": [None] * 25}), "node_id from 0 to 24"),
     "175 words": (text(WORDS[:175]), "not 175"),
+    "words of no number": (text([*WORDS[:9], "x", *WORDS[10:]]), "could not convert"),
     "NaN in text": (text([*WORDS[:8], "nan", *WORDS[9:]]), "must be finite"),
     "a palm that is a point": (text(["a", *["0"] * 175]), "span a plane"),
 }

@@ -145,6 +145,8 @@ def test_a_held_fist_is_a_command(robot):
     [
         ('{"type": "jump"}', "jump"),
         ('{"type": "lost"}', "t"),
+        ('{"type": "lost", "t": NaN}', "JSON"),
+        ('{"type": "lost", "t": 1e400}', "message"),
         ('{"type": "lost", "t": -1}', "0"),
         ('{"type": "lost", "t": 1, "more": 2}', "more"),
         ('{"type": "headset", "t": 1, "joints": [[0, 0, 0]]}', "25"),
@@ -152,6 +154,7 @@ def test_a_held_fist_is_a_command(robot):
         ('{"type": "record", "keep": false}', "keep"),
         (hello(version=2), "version"),
         ("x" * 20_000, "16384"),
+        ("[" * 10_000, "message"),
         ("\ud800", "message"),
     ],
 )

@@ -58,6 +58,7 @@ def test_text_is_merged_over_the_file():
         ("{tiemout: 3}", "unknown field 'tiemout'; choose one of: .*timeout"),
         ("{object: {nam: cube}}", "unknown field 'object.nam'; choose one of: .*name"),
         ("{timeout: long}", "field timeout must be a number; given: 'long'"),
+        ("{object: {position: [0.5, left]}}", r"field object\.position\.1 must be a number; given: 'left'"),
         ("{object: cube}", "field object must be a mapping with some of: .*name.*; given: 'cube'"),
         ("{timeout: 3", r"line 1, column 12: expected ',' or '}', but got '<stream end>'$"),
         ("{timeout: .nan}", "timeout must be positive and finite, not nan"),
