@@ -173,8 +173,11 @@ def test_synthesizing_writes_the_recording_of_that_seed(npy, tmp_path):
     np.testing.assert_allclose(bones, np.tile(expected, (len(bones), 1)), atol=1e-5)
 
 
-def test_people_are_written(tmp_path):
-    """One file a person, at their device's rate unless --rate is given; they have hands of their own."""
+def test_people_are_written(tmp_path, capsys):
+    """One file a person, at their device's rate unless --rate is given; they have hands of their own.
+
+    People of an earlier run stay, with a warning.
+    """
     options = ["--people", "2", "--seed", "3", "--duration", "12"]
     run_command("synthesize", [str(tmp_path / "all"), *options])
     for number in range(2):
@@ -183,6 +186,9 @@ def test_people_are_written(tmp_path):
     run_command("synthesize", [str(tmp_path / "slow"), *options, "--rate", "30", "--side", "left"])
     slow = Recording.load(tmp_path / "slow" / "person_001.npz")
     assert (len(slow), slow.side) == (360, "left")
+    assert "another run" not in capsys.readouterr().err
+    run_command("synthesize", [str(tmp_path / "slow"), "--people", "1", "--duration", "12"])
+    assert "another run, such as person_001.npz" in " ".join(capsys.readouterr().err.split())
     with pytest.raises(UsageError, match="--people"):
         run_command("synthesize", [str(tmp_path / "p.npz"), *options, "--hand-of", "hand.npy"])
 

@@ -69,13 +69,16 @@ def _average(arguments: argparse.Namespace) -> int:
 
 
 def _people(arguments: argparse.Namespace) -> int:
+    from geort_drake.console import warn
     from geort_drake.people.population import sample_person
 
     folder = output_folder(arguments.output)
-    for number in range(arguments.people):
+    paths = [folder / f"person_{number:03d}.npz" for number in range(arguments.people)]
+    for number, path in enumerate(paths):
         person = sample_person(arguments.seed, number)
-        recording = person.record(arguments.duration, arguments.rate, arguments.side)
-        recording.save(folder / f"person_{number:03d}.npz")
+        person.record(arguments.duration, arguments.rate, arguments.side).save(path)
+    if others := sorted({*folder.glob("person_*.npz")} - {*paths}):
+        warn(f"{folder}: also contains people of another run, such as {others[0].name}")
     results = {"Recordings": f"{folder} (people: {arguments.people})"}
     finish(results, command("check-recording", folder / "person_000.npz"))
     return 0
