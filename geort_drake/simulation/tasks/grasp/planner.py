@@ -138,17 +138,20 @@ class GraspPlanner:
         X_OB = robot.hand_pose(q_touch)
         names = tuple(finger.name for finger in self._description.fingers)
         normals = {contact.part: contact.n_O for contact in candidate.contacts}
+        touch = {
+            "finger_names": names,
+            "touches": np.array([name in normals for name in names]),
+            "X_OB": X_OB,
+            "p_OF_touch": robot.fingertips(q_touch),
+            "n_OF": np.array([normals.get(name, np.zeros(3)) for name in names]),
+            "yaw_symmetry": yaw_candidates(robot.shape)[1],
+        }
         goals = [
             GraspGoal(
-                finger_names=names,
-                touches=np.array([name in normals for name in names]),
-                X_OB=X_OB,
+                **touch,
                 X_OB_before=X_OB_before,
                 clearance=clearance,
                 p_BF_open=X_OB.inverse().multiply(robot.fingertips(q_open).T).T,
-                p_OF_touch=robot.fingertips(q_touch),
-                n_OF=np.array([normals.get(name, np.zeros(3)) for name in names]),
-                yaw_symmetry=yaw_candidates(robot.shape)[1],
             )
             for q_open, X_OB_before, clearance in self._openings(candidate, q_touch, X_OB)
         ]
