@@ -107,7 +107,8 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
             np.testing.assert_allclose(p_BS[row, number], X_BS.translation(), atol=1e-6)
     clearance = HandClearance(coupled, 0.05)
     near = clearance.near(q[0])
-    moved = clearance.near(q[0] + (step := 1e-6 * rng.normal(size=q[0].size)))
+    step = 1e-6 * rng.normal(size=q[0].size)
+    moved = clearance.near(q[0] + step)
     both = [pair for pair in near.pairs if pair in moved.pairs]
     here, there = ([found.pairs.index(pair) for pair in both] for found in (near, moved))
     change = moved.gap[there] - near.gap[here]

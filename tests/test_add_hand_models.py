@@ -78,7 +78,8 @@ def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
 
 def test_the_command_describes_a_copy(tmp_path):
     """With --hulls; the model itself does not change, nor a folder of another kind in the copy's place."""
-    before = (model := drawn_alone(tmp_path, "urdf")).read_bytes()
+    model = drawn_alone(tmp_path, "urdf")
+    before = model.read_bytes()
     output = tmp_path / "described" / "hand.yaml"
     output.parent.mkdir()
     for _ in range(2):
@@ -216,7 +217,9 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 
 def test_an_unusable_mesh_is_named(content, message, tmp_path):
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
     mesh = tmp_path / "parts" / "palm.stl"
-    mesh.unlink() if content is None else mesh.write_bytes(content)
+    mesh.unlink()
+    if content is not None:
+        mesh.write_bytes(content)
     with pytest.raises(HandError, match=message) as error:
         convert_model(model, tmp_path / "copy", [])
     assert str(mesh) in str(error.value)

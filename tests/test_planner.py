@@ -76,6 +76,17 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
             assert thing.distance(tip + 0.005 * contact.n_O) < thing.distance(tip) - 0.002
 
 
+@pytest.mark.parametrize("name", ["cylinder", "cube", "bottle"])
+def test_contacts_of_adjacent_fingers_can_be_as_close_as_the_fingers(name):
+    """The thumb's stays where it is."""
+    thing, grip = ObjectAlone(name), grip_of(name)
+    usual, close = (grip_contacts(thing.shape, 0.0, 0.5, grip, spacing=spacing) for spacing in (None, 0.02))
+    np.testing.assert_allclose(usual[0].p_OC, close[0].p_OC, atol=1e-12)
+    for contact, after in itertools.pairwise(close[1:]):
+        assert np.linalg.norm(contact.p_OC - after.p_OC) == pytest.approx(0.02, abs=2e-3)
+        assert thing.distance(contact.p_OC) == pytest.approx(0.0, abs=1e-4)
+
+
 def test_every_object_has_a_grip_and_one_unlisted_or_out_of_reach_is_refused_by_name():
     """All three grips occur; the message lists the objects."""
     assert {grip_of(name) for name in object_names()} == set(GRIPS) == {"pinch", "tripod", "power"}
