@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import HandError, RecordingError
@@ -164,6 +163,8 @@ def evaluate_frames(
 
 def fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
     """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m, mirrored for a left hand."""
+    import torch  # takes a second
+
     kinematics = canonical_kinematics(hand)
     return lambda q: kinematics.fingertips(torch.from_numpy(q)).numpy()
 

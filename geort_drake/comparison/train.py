@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -36,9 +37,11 @@ from geort_drake.retargeting.methods import DEFAULT_METHOD, trained_method
 from geort_drake.retargeting.methods.coupled import Start
 from geort_drake.retargeting.retargeter import load_retargeter
 from geort_drake.retargeting.trained_space import trained_points
-from geort_drake.retargeting.training.descent import Report
 from geort_drake.settings import check_names
 from geort_drake.versions import git_state, versions
+
+if TYPE_CHECKING:
+    from geort_drake.retargeting.training.descent import Report
 
 _CHECKPOINT_BYTES = 1 << 20  # more than a checkpoint with default settings has
 
@@ -67,7 +70,7 @@ def train_checkpoint(
     show_progress: bool = True,
     settings: Mapping | None = None,
     robot_samples: int = 100_000,
-    report: Report | None = None,
+    report: "Report | None" = None,
     start: Start | None = None,
     provenance: Mapping | None = None,
 ) -> Path:
