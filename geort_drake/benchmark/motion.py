@@ -1,7 +1,6 @@
 """Computes speeds and movements of a person's hand in a trial."""
 
 import numpy as np
-from scipy.signal import butter, find_peaks, sosfiltfilt
 
 from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.recording import Recording
@@ -23,6 +22,8 @@ def motion_of(recording: Recording) -> dict[str, float | None]:
         `wrist_speed`, and `fingertip_speed` of the fastest fingertip relative to the wrist: means while
         moving, m/s; `movements`: peaks of the wrist's speed; those beyond one per target are corrections.
     """
+    from scipy.signal import find_peaks  # takes half a second
+
     valid = recording.valid
     if recording.X_WH is None or valid.sum() < 2 or np.ptp(recording.t[valid]) < _MIN_DURATION_S:
         return dict.fromkeys(FIGURES)
@@ -39,6 +40,8 @@ def motion_of(recording: Recording) -> dict[str, float | None]:
 
 def _speeds(t: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Returns speeds (N, P), m/s, of points (T, P, 3), m, resampled at a fixed rate and smoothed."""
+    from scipy.signal import butter, sosfiltfilt
+
     grid = np.arange(t[0], t[-1], 1.0 / _RATE_HZ)
     flat = points.reshape(len(t), -1)
     even = np.stack([np.interp(grid, t, column) for column in flat.T], axis=1)

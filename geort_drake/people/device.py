@@ -6,7 +6,6 @@ The constants are distributions; comments give the source of each, or call it an
 import dataclasses
 
 import numpy as np
-from scipy.signal import lfilter
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import WRIST, to_wrist_frame
@@ -101,4 +100,6 @@ class Device:
 
 def _autoregressive(shape: tuple[int, ...], coefficient: float, rng: np.random.Generator) -> np.ndarray:
     """Draws first-order autoregressive noise of unit deviation and given coefficient along the first axis."""
+    from scipy.signal import lfilter  # takes half a second
+
     return lfilter([np.sqrt(1.0 - coefficient**2)], [1.0, -coefficient], rng.normal(size=shape), axis=0)
