@@ -67,13 +67,15 @@ class NumpyKinematics:
         sine, cosine = np.sin(angles), np.cos(angles)
         M = self._R + sine * self._RK + (1.0 - cosine) * self._RKK
         dM = cosine * self._RK + sine * self._RKK
-        p = np.broadcast_to(self._p_tip, (count, fingers, 3, 1))
+        p = self._p_tip
         J = np.empty((count, fingers, 3, k))
         # From the tip to the base: each joint rotates the point and the columns of the joints beyond it.
         for j in reversed(range(k)):
-            J[..., j + 1 :] = M[:, :, j] @ J[..., j + 1 :]
+            M_j = M[:, :, j]
+            if j + 1 < k:
+                J[..., j + 1 :] = M_j @ J[..., j + 1 :]
             J[..., j : j + 1] = dM[:, :, j] @ p
-            p = M[:, :, j] @ p + self._offset[:, j]
+            p = M_j @ p + self._offset[:, j]
         full = np.zeros((count, fingers, n + 1, 3))
         full[:, np.arange(fingers)[:, None], self._indices] = np.swapaxes(J, -1, -2)
         J = np.swapaxes(full[:, :, :n], -1, -2)
