@@ -17,9 +17,10 @@ BIN := $(VENV)/bin
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
 
-# Many small numerical jobs: more threads than cores would only wait.
+# Many small numerical jobs: more threads than cores would only wait. Without bytecode files, each of the many
+# programs that tests start would compile the package again.
 test: $(VENV)/installed-test
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
+	PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal $(ARGS)
 
 test-lowest:
 	$(MAKE) test VENV=.venv-lowest CONSTRAINTS=constraints-lowest.txt
