@@ -55,6 +55,7 @@ WORSENED = {
         MIXED, (0.0, 0.25, 0.5, 0.75), "a press of 8 mm moves the others by 1, 2 and 3 mm; 2.5 mm are allowed"
     ),
     "trigger": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
+    "grasp": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
     "pick_place": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
     "cap": Worsening(
         TURNED, (0.0, 20.0, 40.0, 60.0), "a turned stroke leaves the circle around the cap, and slides"

@@ -26,18 +26,18 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
 
     A first run ends with the lift and gives the object's orientation in the hand.
     """
-    task, oracle = find_task(scenario.task), _oracle(scenario.hand)
+    task, robot = find_task(scenario.task), oracle(scenario.hand)
     assert isinstance(task, PickPlaceTask)
     scenario.random_seed = seed
     rng = np.random.default_rng(seed).spawn(1)[0]
-    X_WP = task.place(scenario, oracle.description.side, rng)
+    X_WP = task.place(scenario, robot.description.side, rng)
     squeeze, timeout = scenario.operator.squeeze, scenario.timeout
-    lift = script(scenario, oracle, goal, squeeze)
+    lift = script(scenario, robot, goal, squeeze)
     scenario.timeout = float(lift.t[-1]) - HOLDING
-    lifted, _ = run_trial(scenario, oracle, lift)
+    lifted, _ = run_trial(scenario, robot, lift)
     place = X_WP.translation(), -lifted.place_turn, HOVER
     scenario.timeout = timeout
-    result, _ = run_trial(scenario, oracle, script(scenario, oracle, goal, squeeze, place))
+    result, _ = run_trial(scenario, robot, script(scenario, robot, goal, squeeze, place))
     return result.score if result.success else 0.0
 
 
@@ -60,5 +60,6 @@ class _RelaxedOracle(Oracle):
 
 
 @functools.cache
-def _oracle(hand: str) -> Oracle:
+def oracle(hand: str) -> Oracle:
+    """Returns the oracle of a robot hand."""
     return _RelaxedOracle(HandModel(hand))

@@ -207,7 +207,7 @@ class GraspingPerson:
         if state.phase == Phase.CLOSE:
             limit = config.closing_speed * self._closing_fraction(state.shape_error - done, seen)
         target = np.zeros((5, 3))
-        target[self._own] = limited(self._wanted_velocity(state, error, limit[:, None]), limit[:, None])
+        target[self._own] = limited(self._wanted_velocity(state, t, error, limit[:, None]), limit[:, None])
         for own in self._followers:
             target[own] = target[own - 1]
         share = config.period / (config.period + config.muscle_time_constant)
@@ -220,7 +220,9 @@ class GraspingPerson:
         """Returns the robot motion (F, 3), m, expected for `own` finger motion; here the same."""
         return own
 
-    def _wanted_velocity(self, state: OperatorState, error: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    def _wanted_velocity(
+        self, state: OperatorState, t: float, error: np.ndarray, limit: np.ndarray
+    ) -> np.ndarray:
         """Returns velocities (F, 3), m/s, of own fingertips that reduce the robot's errors (F, 3), m."""
         return self._config.correction_rate * error
 

@@ -63,10 +63,10 @@ class OperatorState(Immutable):
     n_BF: np.ndarray | None = None
     # Lift: the object's origin in B at its start.
     p_BO_start: np.ndarray | None = None
-    # For `PlacingPerson` only: errors of the seen place relative to the object; the learned response of the
-    # robot; the remaining intended motion of its fingertips in this phase, (F, 3) m in B; and own fingertips
-    # (5, 3) before they closed, m in H.
+    # For `PlacingPerson`: errors of the seen place relative to the object.
     place_error: VisualError | None = None
+    # For `IntendingPerson`: the learned response of the robot; the remaining intended motion of its
+    # fingertips in this phase, (F, 3) m in B; and own fingertips (5, 3) before they closed, m in H.
     learned: LearnedMotion | None = None
     intended: np.ndarray | None = None
     p_HF_open: np.ndarray | None = None

@@ -13,7 +13,8 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.resources import diagrams_dir, object_names
 from geort_drake.simulation.operators.behavior import GraspingPerson
-from geort_drake.simulation.operators.intention import SERVO
+from geort_drake.simulation.operators.intending import IntendingPerson
+from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY, SERVO
 from geort_drake.simulation.operators.simulated_operator import Person
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage, Task, TrialResult
@@ -67,7 +68,7 @@ class GraspTask(ObjectTask):
     name = "grasp"
     summary = "lift an object and hold it"
     begins_after_play = False
-    kinds = (SERVO,)
+    kinds = (SERVO, ADAPTIVE, MIMICRY)
     result = GraspResult
     scenario = diagrams_dir() / "grasp.scenarios.yaml", "Grasp"
 
@@ -104,7 +105,9 @@ class GraspTask(ObjectTask):
     def person(
         self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator
     ) -> Person:
-        return GraspingPerson(hand, goal, scenario.operator, rng)
+        if scenario.kind == SERVO:
+            return GraspingPerson(hand, goal, scenario.operator, rng)
+        return IntendingPerson(hand, goal, scenario.operator, rng, scenario.kind, scenario.intention)
 
     def result_fields(self, outcome: GraspOutcome, description: HandDescription) -> dict[str, Any]:
         if outcome.success:

@@ -1,0 +1,20 @@
+"""The scripted robot of the grasp."""
+
+from plans import script
+
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
+from geort_drake.simulation.trial import run_trial
+from scripted.pick_place import oracle, plans
+
+__all__ = ["plans", "scripted"]
+
+
+def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
+    """Returns the score of a robot that knows the object and carries out the plan; 0 without success."""
+    scenario.random_seed = seed
+    robot = oracle(scenario.hand)
+    motion = script(scenario, robot, goal, scenario.operator.squeeze)
+    scenario.timeout = float(motion.t[-1])
+    result, _ = run_trial(scenario, robot, motion)
+    return result.score if result.success else 0.0
