@@ -339,6 +339,8 @@ def test_the_mirror_has_the_same_places(task):
         ("tracking", "affine_ik", "servo", "targets: 2, enough: 1, ready_time: 5.0", 0.5, 1.0),
         ("tracking", "hold", "servo", "targets: 2, enough: 1, ready_time: 5.0", 0.0, 0.0),
         ("pick_place", "affine_ik", "servo", "", 1.0, 1.0),
+        ("grasp", "affine_ik", "adaptive", "", 1.0, 1.0),
+        ("grasp", "affine_ik", "mimicry", "", 1.0, 1.0),
     ],
 )
 def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, settings, least, most):
