@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from grasp_setup import planned_goal
 from live_messages import in_world, joints_of, station
 from live_page import (
     PAGE,
@@ -14,7 +15,6 @@ from live_page import (
     PagePerson,
     StubServer,
     film_hand,
-    goal_of,
     launch,
     live_program,
     new_page,
@@ -208,7 +208,7 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
 @pytest.mark.slow
 def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages."""
-    goal = goal_of("allegro_right", "cylinder")
+    goal = planned_goal("cylinder")
     frames, texts = [], {}  # the newest text of each type
 
     def receive(message: bytes | str) -> None:
