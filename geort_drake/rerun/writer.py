@@ -1,5 +1,6 @@
 """`Writer` sends arrays over time as Rerun entities: poses, time series, points, human hands and others."""
 
+import threading
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -202,7 +203,10 @@ class Writer:
             self._stream.flush(timeout_sec=FLUSH_TIMEOUT)
         except (RuntimeError, ValueError) as error:
             warnings.warn(f"the viewer did not receive all data: {error}", stacklevel=4)
-        self._stream.disconnect()
+            # Rerun waits 5 s more for a viewer that is not there.
+            threading.Thread(target=self._stream.disconnect, daemon=True).start()
+        else:
+            self._stream.disconnect()
 
     def _column(self, times: np.ndarray) -> rr.TimeColumn:
         kind = "sequence" if np.issubdtype(times.dtype, np.integer) else "duration"
