@@ -7,7 +7,7 @@ import time
 
 import joblib
 
-_WATCH_PERIOD = 1.0  # s
+_WATCH_PERIOD = 0.2  # s
 
 
 def usable_cores() -> int:
