@@ -82,10 +82,11 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
     """On a local cluster of two workers, which are replaced after each task here."""
     ray = pytest.importorskip("ray")
     # The workers find the tests' own modules, and this package where it is not installed.
-    environment = {"env_vars": {"PYTHONPATH": ":".join(map(str, sys.path)), "OMP_NUM_THREADS": "1"}}
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     monkeypatch.setattr(workers, "TASKS_PER_WORKER", 1)
-    ray.init(num_cpus=2, include_dashboard=False, runtime_env=environment, log_to_driver=False)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         processes, results = results_of([*short, short[1]], 2, "ray")
         assert results == [*alone, alone[1]] and len(processes) == 3
