@@ -19,7 +19,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError
-from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.assembly import add_hand_model, add_models
 from geort_drake.hands.couplings import position_limits
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import tip_geometries
@@ -169,7 +169,7 @@ def add_object(plant: MultibodyPlant, name: str) -> RigidBody:
     Raises:
         UnknownNameError: there is no such object.
     """
-    models = Parser(plant).AddModels(str(object_file(name)))
+    models = add_models(Parser(plant), object_file(name))
     (body,) = plant.GetBodyIndices(models[0])
     return plant.get_body(body)
 
