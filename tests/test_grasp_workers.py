@@ -25,9 +25,8 @@ def trial(method: str, seed: int, scenario_text: str = TOO_SHORT) -> Trial:
     """A trial of a method that needs no training."""
     hand = allegro()
     retarget = make_untrained(method, hand.kinematics(), hand.description.human_keypoints)
-    human = human_with(clearance=np.inf)
     text = dump_scenario(load_scenario(text=scenario_text))
-    return Trial(TrialKey(method, "cylinder", seed), text, retarget, 0.0, human)
+    return Trial(TrialKey(method, "cylinder", seed), text, retarget, 0.0, human_with(clearance=np.inf))
 
 
 @pytest.fixture(scope="module")
@@ -83,10 +82,9 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
     ray = pytest.importorskip("ray")
     # The workers find the tests' own modules, and this package where it is not installed.
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
-    monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     monkeypatch.setattr(workers, "TASKS_PER_WORKER", 1)
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
+    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, _system_config={"worker_niceness": 0})
     try:
         processes, results = results_of([*short, short[1]], 2, "ray")
         assert results == [*alone, alone[1]] and len(processes) == 3
