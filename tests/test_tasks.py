@@ -402,7 +402,7 @@ def test_tasks_are_folders_and_say_what_is_wrong():
     with pytest.raises(UnknownNameError, match="grasp, keys"):
         find_task("juggle")
     for text, error, message in (
-        ("{task: grasp, kind: adaptive}", UnknownNameError, "kind of person for task grasp"),
+        ("{task: grasp, kind: clumsy}", UnknownNameError, "kind of person for task grasp"),
         ("{task_settings: {presses: -1}}", ScenarioError, "task_settings.presses"),
         ("{task_settings: {fingers: 3}}", ScenarioError, "task_settings has no 'fingers'"),
         ("{task: grasp, kind: servo, task_settings: {presses: 3}}", ScenarioError, "empty for task grasp"),
