@@ -19,13 +19,12 @@ import pytest
 from live_messages import joints_of
 from pydrake.math import RigidTransform
 
-from geort_drake import load_hand, load_scenario
+from geort_drake import load_hand
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.systems.port_values import vector_to_pose
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -182,13 +181,6 @@ FRAME_S = 1.0 / 30.0
 # From a hand to its picture on a busy machine; the person judges a movement after that.
 DELAY_S = 12 * FRAME_S
 TOUCHING_M = 1e-3  # gap between a fingertip and the object that no picture shows
-
-
-def goal_of(hand: str, thing: str):
-    """How the robot's hand can hold an object: the first plan."""
-    scenario = load_scenario()
-    scenario.hand, scenario.object.name = hand, thing
-    return GraspPlanner(scenario, load_hand(hand)).plans()[0]
 
 
 class PagePerson:

@@ -85,7 +85,7 @@ class StandInWorld:
 
 
 def act(
-    gain: float, seed: int = 3, slips: int = 0, until: float = 20.0, kind: str | None = None, **changes: float
+    gain: float, seed: int = 3, slips: int = 0, kind: str | None = None, look: float = 0.25, **changes: float
 ) -> SimpleNamespace:
     """Lets a person grasp, or a kind of one grasp and place, in the stand-in world.
 
@@ -98,11 +98,13 @@ def act(
     if kind is not None:
         own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
         goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
-        person = PlacingPerson(world.hand, goal, config, rng, kind, IntentionConfig(), 0.02)
+        person = PlacingPerson(
+            world.hand, goal, config, rng, kind, IntentionConfig(attention_time=look), 0.02
+        )
     state = person.start(RigidTransform())
     p_WO = world.X_WO.translation()
-    phases, theta, wrist, squeeze = [state.phase], [state.theta], [], []
-    for step in range(round(until / config.period)):
+    phases, theta, tips, wrist, squeeze = [state.phase], [state.theta], [], [], []
+    for step in range(round(30.0 / config.period)):
         seen = world.advance(state.theta, state.X_WH, state.phase in (Phase.LIFT, Phase.HOLD))
         before = state
         state = person.step(state, step * config.period, seen)
@@ -110,6 +112,7 @@ def act(
         wrist.append(state.X_WH.translation())
         if state.phase != before.phase:
             phases.append(state.phase)
+            tips.append(world.robot_tips(world.hand.fingertips(state.theta)[:4]))
         if state.phase == Phase.SQUEEZE:
             moved = world.hand.fingertips(state.theta) - state.p_HF_start
             squeeze.append((moved[:3] * world.goal.n_OF[:3]).sum(axis=1))
@@ -119,6 +122,7 @@ def act(
     return SimpleNamespace(
         phases=phases,
         theta=np.array(theta),
+        opened=np.linalg.norm(tips[0] - world.goal.p_BF_open, axis=1),
         wrist=np.array(wrist),
         attempts=state.attempt,
         raised=float(world.X_WO.translation()[2] - p_WO[2]),
@@ -133,6 +137,12 @@ def test_kinds_of_people_pinch_as_they_move_a_robot_finger(gain):
         session = act(gain, kind=kind)
         assert session.phases == [*STRAIGHT[:-1], Phase.CARRY], kind
         assert session.squeeze == pytest.approx(expected * OperatorConfig().squeeze, rel=0.2), kind
+
+
+def test_a_finger_is_corrected_while_it_is_looked_at():
+    """The middle finger in turn with the index finger; here all robot fingers first move too far."""
+    in_turn, never = (act(1.5, kind="mimicry", look=time).opened for time in (0.25, 1e9))
+    assert in_turn[2] < 0.75 * never[2] and never[1] < in_turn[1]
 
 
 STRAIGHT = [Phase.REACH, Phase.APPROACH, Phase.SURROUND, Phase.CLOSE, Phase.SQUEEZE, Phase.LIFT, Phase.HOLD]
@@ -164,7 +174,7 @@ def test_the_person_grasps_through_maps_of_different_gain(gain):
 
 def test_the_person_tries_again_when_the_object_stays_behind():
     """An object lost in the lift is noticed; the hand opens, goes back and the second attempt holds."""
-    session = act(1.5, slips=1, until=30.0)
+    session = act(1.5, slips=1)
     lost = session.phases.index(Phase.RELEASE)
     assert session.phases[:lost] in (STRAIGHT, STRAIGHT[:-1])
     assert session.phases[lost + 1 :] == STRAIGHT[1:]
@@ -174,10 +184,10 @@ def test_the_person_tries_again_when_the_object_stays_behind():
 
 def test_the_grasp_also_holds_without_touch_and_in_a_noisier_scene():
     """Without touch, fingers close until they come no further. The noise is four times as large."""
-    session = act(1.5, touch=False, until=30.0)
+    session = act(1.5, touch=False)
     assert session.phases == STRAIGHT and session.raised > 0.1
     noisy = {name: 4 * getattr(OperatorConfig(), name) for name in QUIET}
-    session = act(1.5, until=30.0, **noisy)
+    session = act(1.5, **noisy)
     assert session.phases == STRAIGHT and session.attempts == 1
     assert session.squeeze * 1.5 == pytest.approx(OperatorConfig().squeeze, rel=0.4)
 
