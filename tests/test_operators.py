@@ -87,10 +87,7 @@ class StandInWorld:
 def act(
     gain: float, seed: int = 3, slips: int = 0, kind: str | None = None, look: float = 0.25, **changes: float
 ) -> SimpleNamespace:
-    """Lets a person grasp, or a kind of one grasp and place, in the stand-in world.
-
-    Ends one second into the hold, or after the lift.
-    """
+    """Lets a person grasp to one second into the hold, or a kind of one grasp and lift, in that world."""
     config = dc.replace(OperatorConfig(), **changes)
     world = StandInWorld(gain, config, slips)
     rng = np.random.default_rng(seed)
@@ -98,9 +95,8 @@ def act(
     if kind is not None:
         own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
         goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
-        person = PlacingPerson(
-            world.hand, goal, config, rng, kind, IntentionConfig(attention_time=look), 0.02
-        )
+        intention = IntentionConfig(attention_time=look)
+        person = PlacingPerson(world.hand, goal, config, rng, kind, intention, 0.02)
     state = person.start(RigidTransform())
     p_WO = world.X_WO.translation()
     phases, theta, tips, wrist, squeeze = [state.phase], [state.theta], [], [], []
