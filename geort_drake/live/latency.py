@@ -1,10 +1,9 @@
 """Measures the time from a hand's motion to the robot's command and to the status that confirms it."""
 
 import dataclasses as dc
-import itertools
 import math
 import time
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -26,12 +25,28 @@ class Latency:
     p99: float | None
 
     @classmethod
-    def of(cls, samples: Sequence[float]) -> "Latency":
+    def of(cls, samples: Sequence[float] | np.ndarray) -> "Latency":
         """Returns the statistics of samples, s."""
         if not len(samples):
             return cls(0, None, None)
         median, p99 = np.percentile(samples, [50, 99])
         return cls(len(samples), float(median), float(p99))
+
+
+class _Samples:
+    """The newest samples, s, in memory of constant size, so that a long session does not grow."""
+
+    def __init__(self) -> None:
+        self._values, self._count = np.full(_MAX_SAMPLES, math.nan), 0
+
+    def append(self, value: float) -> None:
+        self._values[self._count % _MAX_SAMPLES] = value
+        self._count += 1
+
+    def newest(self, number: int = _MAX_SAMPLES) -> np.ndarray:
+        """Returns at most `number` of them."""
+        number = min(number, self._count, _MAX_SAMPLES)
+        return self._values[np.arange(self._count - number, self._count) % _MAX_SAMPLES]
 
 
 class LatencyMeter(LeafSystem):
@@ -53,8 +68,7 @@ class LatencyMeter(LeafSystem):
     def __init__(self, num_joints: int, period: float, clock: Callable[[], float] = time.monotonic):
         super().__init__()
         self._n, self._clock = num_joints, clock
-        self._to_command: deque[float] = deque(maxlen=_MAX_SAMPLES)
-        self._to_echo: deque[float] = deque(maxlen=_MAX_SAMPLES)
+        self._to_command, self._to_echo = _Samples(), _Samples()
         self._last_sent, self._last_command = math.nan, b""
         # The bytes of a command's positions → when its keypoints were measured.
         self._unconfirmed: OrderedDict[bytes, float] = OrderedDict()
@@ -66,11 +80,11 @@ class LatencyMeter(LeafSystem):
 
     def to_command(self, newest: int = _MAX_SAMPLES) -> Latency:
         """Returns the time from keypoints to command, over the `newest` samples."""
-        return Latency.of([*itertools.islice(reversed(self._to_command), newest)])
+        return Latency.of(self._to_command.newest(newest))
 
     def to_echo(self) -> Latency:
         """Returns the time from keypoints to the robot's status that reports the command."""
-        return Latency.of(self._to_echo)
+        return Latency.of(self._to_echo.newest())
 
     def _note_command(self, context: Context) -> EventStatus:
         sent = float(self._sent.Eval(context)[0])
