@@ -23,7 +23,8 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from live_page import FLAT, PINCH, WEB, PagePerson, goal_of, launch, serve  # noqa: E402
+from grasp_setup import planned_goal  # noqa: E402
+from live_page import FLAT, PINCH, WEB, PagePerson, launch, serve  # noqa: E402
 from pydrake.systems.analysis import Simulator  # noqa: E402
 
 from geort_drake.hands.description import load_hand  # noqa: E402
@@ -174,7 +175,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         page.wait_for_selector("body[data-state=tracking]")
         scene = json.loads(theatre.server._scene)
         theatre.person = PagePerson(scene, theatre.scenario.hand, "cylinder",
-                                    goal_of(theatre.scenario.hand, "cylinder"))  # fmt: skip
+                                    planned_goal("cylinder"))  # fmt: skip
         for _ in range(2 * HANDSHAKE_FRAMES + 10):
             theatre.step()
         theatre.step(Guide())
