@@ -7,10 +7,11 @@ from plans import DAMPING, HOLDING, LARGEST_STEP, Oracle, script
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
+from geort_drake.simulation.operators.placing import HOVER
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.pick_place.task import HOVER, PickPlaceTask
+from geort_drake.simulation.tasks.pick_place.task import PickPlaceTask
 from geort_drake.simulation.trial import run_trial
 
 PULL = 0.1  # fraction of the distance to the middle of the joint ranges per iteration

@@ -46,6 +46,8 @@ class IntendingPerson(GraspingPerson):
         super().__init__(hand, goal, config, rng)
         intention.validate()
         self._kind, self._intention = kind, intention
+        thumb = np.array([name == "thumb" for name in goal.finger_names])
+        self._opposing = np.flatnonzero(goal.touches & ~thumb)
         # A separate generator, so that what is learned does not change other random numbers.
         self._intention_rng = rng.spawn(1)[0]
 
@@ -85,12 +87,10 @@ class IntendingPerson(GraspingPerson):
 
     def _attended(self, t: float) -> np.ndarray:
         """Returns whether each finger (F,) is looked at."""
-        touches = self._goal.touches
-        opposing = [i for i in np.flatnonzero(touches) if self._goal.finger_names[i] != "thumb"]
-        turn = int(t / self._intention.attention_time) % len(opposing)
-        attended = touches.copy()
-        attended[opposing] = False
-        attended[opposing[turn]] = True
+        turn = int(t / self._intention.attention_time) % len(self._opposing)
+        attended = self._goal.touches.copy()
+        attended[self._opposing] = False
+        attended[self._opposing[turn]] = True
         return attended
 
     def _inwards(self, state: OperatorState, share: float) -> np.ndarray:

@@ -10,38 +10,19 @@ import math
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from geort_drake.people.human_hand import HumanHand
-from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intending import IntendingPerson
-from geort_drake.simulation.operators.intention import IntentionConfig
 from geort_drake.simulation.operators.perception import Seen, VisualError
 from geort_drake.simulation.operators.state import OperatorState, Phase
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.port_values import rotation_of_vector
+
+HOVER = 0.02  # m, height above its place from which the object is lowered
 
 
 class PlacingPerson(IntendingPerson):
     """Grasps an object and brings it to its place.
 
     The object's tilt is left to gravity: only its position and its yaw are corrected.
-
-    Args:
-        hand, goal, config, rng, kind: see `IntendingPerson`.
-        hover: height above its place from which the object is lowered, m.
     """
-
-    def __init__(
-        self,
-        hand: HumanHand,
-        goal: GraspGoal,
-        config: OperatorConfig,
-        rng: np.random.Generator,
-        kind: str,
-        intention: IntentionConfig,
-        hover: float,
-    ):
-        super().__init__(hand, goal, config, rng, kind, intention)
-        self._hover = hover
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
         error = VisualError.draw(0, self._config, self._intention_rng)
@@ -97,7 +78,7 @@ class PlacingPerson(IntendingPerson):
             return super()._target_hand_pose(state, seen)
         motion = self._to_place(seen)
         p_OB_W = seen.X_WB.translation() - seen.X_WO.translation()
-        above = seen.X_WO.translation() + motion.translation() + [0, 0, self._hover]
+        above = seen.X_WO.translation() + motion.translation() + [0, 0, HOVER]
         return RigidTransform(motion.rotation() @ seen.X_WB.rotation(), above + motion.rotation() @ p_OB_W)
 
     def _reach_tolerance(self, state: OperatorState) -> float:

@@ -35,7 +35,6 @@ _MAX_ANGLE = math.radians(15)
 # Distance of the place from the middle of the object's initial position, m; and ranges within which the place
 # is drawn, m and rad.
 _CARRY_DISTANCE, _POSITION_RANGE, _YAW_RANGE = 0.15, 0.02, 0.2
-HOVER = 0.02  # m, height above the place from which the person lowers the block
 _MARK = np.array([0.20, 0.62, 0.35, 1.0])
 
 
@@ -221,8 +220,7 @@ class PickPlaceTask(ObjectTask):
     def person(
         self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator
     ) -> Person:
-        config, intention = scenario.operator, scenario.intention
-        return PlacingPerson(hand, goal, config, rng, scenario.kind, intention, HOVER)
+        return PlacingPerson(hand, goal, scenario.operator, rng, scenario.kind, scenario.intention)
 
     def result_fields(self, outcome: TransferOutcome, description: HandDescription) -> dict[str, Any]:
         assert outcome.block is not None  # the monitor's first check is at the start
