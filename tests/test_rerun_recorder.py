@@ -20,7 +20,6 @@ from geort_drake.errors import OutputError, RecordingError, ScenarioError
 from geort_drake.live.transports import wait_for
 from geort_drake.rerun import RerunRecorder, recorder, take_screenshot
 from geort_drake.rerun.layout import Layout
-from geort_drake.systems.release import release
 
 
 def test_poses_in_the_file_are_those_of_the_plant(tmp_path):
@@ -117,7 +116,6 @@ def test_a_failure_while_writing_leaves_nothing(tmp_path, monkeypatch):
         world.recorder.close()
     assert list(tmp_path.iterdir()) == []
     monkeypatch.undo()
-    release(world.simulator.get_system())  # closes it
     world.recorder.close()
     assert rerun("rrd", "verify", tmp_path / "half.rrd").returncode == 0
 

@@ -1,7 +1,6 @@
 """Runs functions in worker processes, local or on a Ray cluster, with the same code as their parent."""
 
 import functools
-import itertools
 import os
 import platform
 import warnings
@@ -16,7 +15,6 @@ from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.files import source_digest
 from geort_drake.processes import end_with
 
-TASKS_PER_WORKER = 100  # tasks after which a worker is replaced, see `call_in_workers`
 # Subpackages that determine a trial; learned weights have a separate digest.
 _TRIAL_SUBPACKAGES = ("people", "hands", "retargeting", "simulation", "systems")
 
@@ -26,9 +24,7 @@ def call_in_workers(
 ) -> Iterator[Any]:
     """Calls `function` in workers, with each of `arguments`, and yields the results.
 
-    Drake 1.51 never frees systems written in Python (RobotLocomotion/drake#24162), and even `release` leaves
-    0.4 MB of a trial. Even a single job therefore has its own process, and processes are replaced after
-    `TASKS_PER_WORKER` tasks, so that they stay below 300 MB.
+    Even a single job has its own process, whose end by lack of memory does not end this one.
 
     Args:
         function: function to call; must be picklable.
@@ -42,24 +38,23 @@ def call_in_workers(
         BenchmarkError, GeortError: see `require_workers`.
     """
     require_workers(jobs, backend)
-    options: dict = {"inner_max_num_threads": 1, "initializer": end_with, "initargs": (os.getpid(),)}
-    if backend == "ray":
-        options = {"maxtasksperchild": TASKS_PER_WORKER}
+    options: dict = {}
+    if backend != "ray":
+        options = {"inner_max_num_threads": 1, "initializer": end_with, "initargs": (os.getpid(),)}
     code = code_digest()
     tasks = ((code, function, each) for each in arguments)
     try:
         with parallel_config(backend=backend, n_jobs=jobs, **options), warnings.catch_warnings():
             warnings.filterwarnings("ignore", "A worker stopped while some jobs", UserWarning)
             order = "generator" if ordered else "generator_unordered"
-            for batch in [tasks] if backend == "ray" else _batches(tasks, TASKS_PER_WORKER * jobs):
-                if jobs == 1:
-                    yield from _one_by_one(batch)
-                    continue
-                # Tasks are long and their arguments small: dispatch singly, without memory-mapped files.
-                parallel = Parallel(batch_size=1, max_nbytes=None, return_as=order)
-                yield from parallel(delayed(_call)(*task) for task in batch)
-                if backend != "ray":
-                    get_reusable_executor(reuse=True).shutdown()
+            if jobs == 1:
+                yield from _one_by_one(tasks)
+                return
+            # Tasks are long and their arguments small: dispatch singly, without memory-mapped files.
+            parallel = Parallel(batch_size=1, max_nbytes=None, return_as=order)
+            yield from parallel(delayed(_call)(*task) for task in tasks)
+            if backend != "ray":
+                get_reusable_executor(reuse=True).shutdown()
     except BrokenExecutor as error:
         message = (
             "a worker process ended, perhaps because memory ran out; finished trials are kept: run the same "
@@ -114,13 +109,6 @@ def require_workers(jobs: int, backend: str) -> None:
 def code_digest() -> str:
     """SHA-256 of the code of trials as it was at this process's first call."""
     return source_digest(*_TRIAL_SUBPACKAGES)
-
-
-def _batches(tasks: Iterable[tuple], count: int) -> Iterator[Iterator[tuple]]:
-    """Yields batches of up to `count` tasks; a batch must be used up before the next."""
-    rest = iter(tasks)
-    for first in rest:
-        yield itertools.chain([first], itertools.islice(rest, count - 1))
 
 
 def _one_by_one(tasks: Iterable[tuple]) -> Iterator[Any]:

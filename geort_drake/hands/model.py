@@ -13,6 +13,7 @@ from pydrake.geometry import (
     GeometryId,
     GeometrySet,
     QueryObject,
+    Role,
     SceneGraphInspector,
 )
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -265,7 +266,8 @@ def tip_geometries(
     tips: list[GeometryId] = []
     for finger in fingers:
         link = plant.GetFrameByName(finger.tip_link, hand).body()
-        everything = plant.GetCollisionGeometriesForBody(link)
+        frame = plant.GetBodyFrameIdOrThrow(link.index())
+        everything = inspector.GetGeometries(frame, Role.kProximity)  # the plant's list would keep it alive
         tips += [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]] or everything
     return tips
 

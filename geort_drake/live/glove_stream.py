@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.messages import GloveFrame, decode
@@ -16,6 +16,7 @@ from geort_drake.people.checks import anatomy, refuse
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.people.recording import SIDES, Recording
 from geort_drake.systems.port_values import vector_to_pose
+from geort_drake.systems.python_system import PythonSystem
 
 # Messages are read every POLL_PERIOD, s, slightly before the loop's updates, which thus use the newest ones.
 POLL_PERIOD, _AHEAD = 0.002, 1e-4
@@ -42,7 +43,7 @@ _VALID, _STAMP, _SENT, _LATENESS, _OFFSET, _ARRIVED = range(70, 76)
 _AT_START = (*np.zeros(63), 1.0, *np.zeros(6), 0.0, 0.0, math.nan, 0.0, math.inf, math.nan)
 
 
-class GloveStream(LeafSystem):
+class GloveStream(PythonSystem):
     """Outputs the newest frame received from a glove until the next one arrives.
 
     Messages are read in a discrete update every `POLL_PERIOD`. A message that cannot be used is dropped and

@@ -7,10 +7,11 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, EventStatus
 
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.watchdog import AFTER
+from geort_drake.systems.python_system import PythonSystem
 
 _MAX_SAMPLES = 100_000
 _MAX_UNCONFIRMED = 1_000
@@ -49,7 +50,7 @@ class _Samples:
         return self._values[np.arange(self._count - number, self._count) % _MAX_SAMPLES]
 
 
-class LatencyMeter(LeafSystem):
+class LatencyMeter(PythonSystem):
     """Measures how long commands and their confirmations take, on this machine's clock.
 
     It takes a sample for the first command after new keypoints, if that differs from the command before it.

@@ -12,7 +12,6 @@ from pydrake.systems.framework import (
     DiscreteValues,
     EventStatus,
     InputPort,
-    LeafSystem,
 )
 
 from geort_drake.errors import LiveError
@@ -20,12 +19,13 @@ from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointGroup, LcmInbo
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.transports import open_lcm, wait_for
 from geort_drake.live.watchdog import AFTER
+from geort_drake.systems.python_system import PythonSystem
 
 # Largest distance of a measured joint from its limits, rad; beyond it, the robot is not the model's.
 _TOLERANCE = 0.1
 
 
-class RobotLink(LeafSystem):
+class RobotLink(PythonSystem):
     """Sends joint positions to an Allegro hand and a Panda arm over LCM, and receives their joint states.
 
     The messages are Drake's `lcmt_allegro_*` and `lcmt_panda_*`. Statuses are read every `POLL_PERIOD`.

@@ -12,7 +12,6 @@ from pydrake.systems.framework import (
     DiagramBuilder,
     DiscreteValues,
     EventStatus,
-    LeafSystem,
 )
 
 from geort_drake.hands.description import HandDescription, load_hand
@@ -30,6 +29,7 @@ from geort_drake.simulation.following import JointGroup, RobotModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND, actuated_state
+from geort_drake.systems.python_system import PythonSystem
 
 # Time between statuses, s.
 STATUS_PERIOD = 0.004
@@ -91,7 +91,7 @@ def open_meshcat() -> Meshcat:
     return Meshcat(MeshcatParams(host="localhost"))
 
 
-class JointServer(LeafSystem):
+class JointServer(PythonSystem):
     """Replaces a device's driver: follows the newest usable command and publishes the joints' state.
 
     Commands hold positions only, so the desired velocities are zero and the joints lag.

@@ -5,10 +5,11 @@ import math
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
 
 from geort_drake.systems.glove_checks import FROZEN
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import FOLLOWED, RetargetingStatus
 
 # Delay of the watchdog's update after the retargeting's, s; commands are sent even later.
@@ -16,7 +17,7 @@ AFTER = 1e-4
 _PASSING, _RELAXING, _RETURNING = range(3)
 
 
-class EngageSwitch(LeafSystem):
+class EngageSwitch(PythonSystem):
     """Marks the hand as lost while the person is disengaged.
 
     Input ports:
@@ -36,7 +37,7 @@ class EngageSwitch(LeafSystem):
         output.SetAtIndex(0, float(min(self._valid.Eval(context)[0], self._engaged.Eval(context)[0]) >= 0.5))
 
 
-class Watchdog(LeafSystem):
+class Watchdog(PythonSystem):
     """Passes commands; while the glove stays lost, moves the hand to a safe pose, and later eases it back.
 
     RetargetingSystem already holds when its input is lost. After `relax_after`, the watchdog moves the hand

@@ -13,17 +13,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, OutputPort, PortDataType
+from pydrake.systems.framework import Context, EventStatus, OutputPort, PortDataType
 
 from geort_drake.rerun.layout import Layout
 from geort_drake.rerun.specs import Spec
 from geort_drake.rerun.streams import Property, Viewer, file_writer, live_writer
 from geort_drake.rerun.writer import Writer
+from geort_drake.systems.python_system import PythonSystem
 
 _BATCH_S = 0.1  # wall time between two batches for viewers
 
 
-class RerunRecorder(LeafSystem):
+class RerunRecorder(PythonSystem):
     """Records a plant and other ports to a Rerun file, to viewers, or to both.
 
     Use `add_rerun_recorder` to make and connect it. It samples in periodic and forced publish events. If time
@@ -46,8 +47,6 @@ class RerunRecorder(LeafSystem):
     Attributes:
         path: path of the file; None if there are only viewers.
     """
-
-    _closed = True  # once `release` has deleted the recorder's attributes
 
     def __init__(
         self,
@@ -116,8 +115,8 @@ class RerunRecorder(LeafSystem):
         self._closed = True
         if self._live is not None:
             self._live.close()
-        # Drake keeps this system until the process ends.
         self._samples.clear()
+        del self._specs, self._layout  # bodies and frames in them would keep the diagram alive
 
     def __enter__(self) -> "RerunRecorder":
         return self

@@ -99,7 +99,7 @@ def describe_scene(
     bodies = [plant.get_body(index) for index in map(BodyIndex, range(plant.num_bodies()))]
     scene = Scene(
         paths=[root + _body_path(plant, body) for body in bodies],
-        body_of_geometry=bodies_of_geometries(plant),
+        body_of_geometry=bodies_of_geometries(plant, inspector),
     )
     defaults = plant.CreateDefaultContext()
     for body in bodies:

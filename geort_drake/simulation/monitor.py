@@ -9,10 +9,11 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, InputPort, State
 
 from geort_drake.settings import require_numbers
 from geort_drake.systems.port_values import Immutable
+from geort_drake.systems.python_system import PythonSystem
 
 PERIOD = 0.01  # s between two checks
 
@@ -66,7 +67,7 @@ class Outcome(abc.ABC, Immutable):
 Judged = TypeVar("Judged", bound=Outcome)
 
 
-class TaskMonitor(LeafSystem, Generic[Judged]):
+class TaskMonitor(PythonSystem, Generic[Judged]):
     """Judges a task periodically, and terminates the simulation once the task is decided.
 
     Input ports (F fingers):

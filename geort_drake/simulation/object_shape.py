@@ -59,8 +59,9 @@ def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: Ri
     Raises:
         ScenarioError: the body has no collision geometry, or geometry other than convex primitives.
     """
+    # Copies, which do not keep the scene graph alive.
     parts = tuple(
-        (inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry))
+        (inspector.GetShape(geometry).Clone(), RigidTransform(inspector.GetPoseInFrame(geometry)))
         for geometry in plant.GetCollisionGeometriesForBody(body)
     )
     kinds = [type(shape).__name__ for shape, _ in parts]

@@ -1,5 +1,6 @@
 """Simulates one trial from start to outcome."""
 
+import gc
 import os
 import time
 from collections.abc import Callable, Mapping
@@ -16,7 +17,6 @@ from geort_drake.simulation.monitor import Outcome
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks import find_task
-from geort_drake.systems.release import release
 
 _REPORT_PERIOD = 0.25  # simulated s
 
@@ -39,6 +39,7 @@ def run_trial(
         The result, and the glove and tracker data of the trial for `GloveReplay`.
     """
     started = time.perf_counter()
+    gc.collect()  # the previous trial's diagram, which is part of reference cycles
     # Methods with a memory forget the previous trial.
     if callable(reset := getattr(retarget, "reset", None)):
         reset()
@@ -68,7 +69,6 @@ def run_trial(
     finally:
         if parts.recorder is not None:
             parts.recorder.close()
-        release(parts.diagram)
 
 
 def _result(

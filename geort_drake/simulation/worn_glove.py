@@ -6,10 +6,11 @@ import dataclasses as dc
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 from scipy.spatial.transform import Rotation
 
 from geort_drake.settings import require_numbers
+from geort_drake.systems.python_system import PythonSystem
 
 
 @dc.dataclass
@@ -36,7 +37,7 @@ class WornGloveConfig:
         require_numbers(self, "glove", may_be_zero=True)
 
 
-class WornGlove(LeafSystem):
+class WornGlove(PythonSystem):
     """Adds the configured faults to the measurements of a glove and a tracker.
 
     Input ports:

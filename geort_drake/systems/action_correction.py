@@ -5,10 +5,11 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import HandError
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.update_timing import check_timing
 
 CORRECTIONS = ("none", "guard", "policy")
@@ -35,7 +36,7 @@ class CorrectionConfig:
             raise ValueError("correction.policy must be given for kind policy, and for no other kind")
 
 
-class ActionCorrection(LeafSystem):
+class ActionCorrection(PythonSystem):
     """Passes the desired state through; override `correct` to change it.
 
     A subclass could be the foundation controller of DexterityGen (Yin et al. 2025, section IV), a policy that

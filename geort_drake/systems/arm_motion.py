@@ -5,12 +5,13 @@ from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.python_system import PythonSystem
 
 
-class ArmMotion(LeafSystem):
+class ArmMotion(PythonSystem):
     """Integrates joint velocities while the wrist is followed; otherwise brakes the joints and holds them.
 
     Input ports:

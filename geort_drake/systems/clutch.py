@@ -4,9 +4,10 @@ import dataclasses as dc
 
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
 from geort_drake.systems.port_values import Immutable
+from geort_drake.systems.python_system import PythonSystem
 
 
 @dc.dataclass(frozen=True)
@@ -17,7 +18,7 @@ class _Engagement(Immutable):
     X_WB: RigidTransform | None = None
 
 
-class Clutch(LeafSystem):
+class Clutch(PythonSystem):
     """Applies the wrist's motion since the clutch engaged to the robot hand.
 
     Person and robot may start at different poses: the wrist's translation and rotation since the first valid

@@ -3,17 +3,20 @@
 from collections.abc import Mapping
 
 import numpy as np
-from pydrake.geometry import GeometryId
+from pydrake.geometry import GeometryId, Role, SceneGraphInspector
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
 
 _NO_CONTACTS = np.empty((0, 8))
 
 
-def bodies_of_geometries(plant: MultibodyPlant) -> dict[GeometryId, int]:
+def bodies_of_geometries(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict[GeometryId, int]:
     """Returns the index of the body of every collision geometry."""
-    bodies = map(plant.get_body, map(BodyIndex, range(plant.num_bodies())))
-    return {id: int(body.index()) for body in bodies for id in plant.GetCollisionGeometriesForBody(body)}
+    # The plant's own lists of geometries would keep the plant alive.
+    bodies = {
+        id: plant.GetBodyFromFrameId(inspector.GetFrameId(id))
+        for id in inspector.GetAllGeometryIds(Role.kProximity)
+    }
+    return {id: int(body.index()) for id, body in bodies.items() if body is not None}
 
 
 def contact_rows(results: ContactResults, bodies: Mapping[GeometryId, int]) -> np.ndarray:

@@ -5,16 +5,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.people.recording import Recording
 from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.systems.port_values import pose_to_vector
+from geort_drake.systems.python_system import PythonSystem
 
 _PART_S = 5.0  # s; length of a part
 
 
-class GloveRecorder(LeafSystem):
+class GloveRecorder(PythonSystem):
     """Samples a glove's ports at a fixed period.
 
     Input ports:

@@ -5,16 +5,17 @@ import bisect
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording
 from geort_drake.systems.port_values import vector_to_pose
+from geort_drake.systems.python_system import PythonSystem
 
 _TIME_TOLERANCE = 1e-9  # s; for rounding errors in recorded times
 
 
-class GloveReplay(LeafSystem):
+class GloveReplay(PythonSystem):
     """Plays back a recording and holds each sample until the next one.
 
     Output ports:

@@ -3,13 +3,14 @@
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.people.keypoints import mirrored
 from geort_drake.systems.port_values import mirrored_pose
+from geort_drake.systems.python_system import PythonSystem
 
 
-class HandMirror(LeafSystem):
+class HandMirror(PythonSystem):
     """Reflects keypoints in the xz-plane of H and the wrist's pose in the xz-plane of W.
 
     Input ports:

@@ -11,13 +11,14 @@ from pydrake.systems.scalar_conversion import SystemScalarConverter, TemplateSys
 from geort_drake.errors import GeortError, HandError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter
+from geort_drake.systems.python_system import Freeable, weak_callback
 
 
 @TemplateSystem.define("RetargetingMap_", T_list=[float, AutoDiffXd])
 def RetargetingMap_(T: type) -> type:
     """See `RetargetingMap`."""
 
-    class Impl(LeafSystem_[T]):
+    class Impl(LeafSystem_[T], metaclass=Freeable):
         """Maps keypoints to joint positions without memory, checks or limits, for optimisation and analysis.
 
         `RetargetingSystem` has a discrete state, so no gradient passes through it. This system has direct
@@ -58,7 +59,7 @@ def RetargetingMap_(T: type) -> type:
             self._tips = list(retarget.human_keypoints)
             self._keypoints = self.DeclareVectorInputPort("keypoints", 3 * KEYPOINT_COUNT)
             self.DeclareVectorOutputPort(
-                "positions", len(joints), self._calc, {self.all_input_ports_ticket()}
+                "positions", len(joints), weak_callback(self, self._calc), {self.all_input_ports_ticket()}
             )
 
         def _construct_copy(self, other: Any, converter: SystemScalarConverter | None = None) -> None:

@@ -2,13 +2,11 @@
 
 import dataclasses as dc
 import math
-import weakref
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import Context, DiscreteValues, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, DiscreteValues, EventStatus, State
 
 from geort_drake.errors import HandError
 from geort_drake.retargeting.numpy_retargeter import Retargeter
@@ -23,6 +21,7 @@ from geort_drake.systems.glove_checks import (
 )
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.person_following import OBSERVATION_PERIOD, PersonFollowing
+from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import (
     EASING,
     FOLLOWED,
@@ -41,7 +40,7 @@ _DIAGONAL = math.sqrt(3.0)
 _ROUNDING = 1e-9  # m; rounding error of distances
 
 
-class RetargetingSystem(LeafSystem):
+class RetargetingSystem(PythonSystem):
     """Maps keypoints to joint targets at a fixed period; the output respects the limits for any input.
 
     While the input cannot be followed, the joints brake and hold. Then the hand follows again, at a growing
@@ -135,9 +134,7 @@ class RetargetingSystem(LeafSystem):
         tickets = {self.discrete_state_ticket(memory)}
         self._person = None
         if isinstance(retarget, UniversalRetargeter):
-            # A proxy, as Drake never frees a state's first value; see `release`.
-            proxy: Any = weakref.proxy(retarget)
-            start = AbstractValue.Make(PersonFollowing.start(proxy))
+            start = AbstractValue.Make(PersonFollowing.start(retarget))
             self._person = self.DeclareAbstractState(start)
             tickets.add(self.abstract_state_ticket(self._person))
             self.DeclarePeriodicUnrestrictedUpdateEvent(max(OBSERVATION_PERIOD, period), 0.0, self._observe)

@@ -8,16 +8,17 @@ from pydrake.geometry import SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
-from pydrake.systems.framework import Context, InputPort, LeafSystem, ValueProducer
+from pydrake.systems.framework import Context, InputPort, ValueProducer
 
 from geort_drake.hands.chains import finger_links
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import tip_geometries
 from geort_drake.systems.contacts import bodies_of_geometries, contact_geometries, contact_rows
 from geort_drake.systems.port_values import pose_to_vector
+from geort_drake.systems.python_system import PythonSystem, weak_callback
 
 
-class SceneView(LeafSystem):
+class SceneView(PythonSystem):
     """Observes a grasp from the plant's outputs.
 
     Input ports:
@@ -71,7 +72,7 @@ class SceneView(LeafSystem):
             [self._number_of_link[int(link.index())] for link in of_finger]
             for of_finger in finger_links(plant, description, hand)
         ]
-        self._body_of_geometry = bodies_of_geometries(plant)
+        self._body_of_geometry = bodies_of_geometries(plant, inspector)
         self._tip_geometries = {*tip_geometries(plant, inspector, hand, description.fingers)}
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self._contacts = self.DeclareAbstractInputPort(
@@ -86,14 +87,17 @@ class SceneView(LeafSystem):
         """Declares ports with a common cache entry, because reading the input takes longer than the rest."""
         cached = self.DeclareCacheEntry(
             ", ".join(sizes),
-            ValueProducer(lambda: AbstractValue.Make({}), calculate),
+            ValueProducer(lambda: AbstractValue.Make({}), weak_callback(self, calculate)),
             {self.input_port_ticket(source.get_index())},
         )
+        index = cached.cache_index()
         for name, size in sizes.items():
             self.DeclareVectorOutputPort(
                 name,
                 size,
-                lambda context, output, name=name: output.SetFromVector(cached.Eval(context)[name]),
+                lambda context, output, name=name: output.SetFromVector(
+                    self.get_cache_entry(index).Eval(context)[name]
+                ),
                 {cached.ticket()},
             )
 

@@ -6,13 +6,15 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
+
+from geort_drake.systems.python_system import PythonSystem
 
 _STIFFNESS, _DAMPING = 1000.0, 15.0  # N/m and N s/m
 _TURN_STIFFNESS, _TURN_DAMPING = 0.5, 0.005  # N m/rad and N m s/rad
 
 
-class Stand(LeafSystem):
+class Stand(PythonSystem):
     """A spring and a damper that hold a body in place until a release time.
 
     Unlike a constraint of the plant, it is released from inside the diagram.

@@ -5,9 +5,10 @@ import math
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
 
 from geort_drake.systems.port_values import pose_to_vector
+from geort_drake.systems.python_system import PythonSystem
 
 WRIST_JUMPED = "held: the wrist moved faster than a wrist can"
 WRIST_NOT_FINITE = "held: the wrist's pose is not finite"
@@ -23,7 +24,7 @@ _MAX_ROTATION_SPEED = 20.0  # rad/s; a MANUS recording at 118 Hz peaks at 8
 _SETTLE_TIME = 0.1
 
 
-class WristChecks(LeafSystem):
+class WristChecks(PythonSystem):
     """Marks the wrist as lost while its pose is not finite or moves faster than a wrist can.
 
     After a jump, poses are compared with the new one. If the tracker stays there, it is followed again after

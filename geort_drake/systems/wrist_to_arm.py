@@ -19,6 +19,7 @@ from geort_drake.settings import require_numbers
 from geort_drake.systems.arm_motion import ArmMotion
 from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.python_system import Freeable
 
 
 @dc.dataclass
@@ -46,7 +47,7 @@ class WristToArmConfig:
             )
 
 
-class WristToArm(Diagram):
+class WristToArm(Diagram, metaclass=Freeable):
     """Turns the tracker's wrist pose into the arm's desired state.
 
     Input ports:

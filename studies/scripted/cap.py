@@ -1,20 +1,21 @@
 """The scripted robot of the cap."""
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.cap.planner import CapPlan, CapPlanner
 from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
+from geort_drake.systems.python_system import PythonSystem
 from scripted.robot import hand_order, run_script
 
 _START = 2.0  # s, time until the fingers are around the cap
 _MOVES = (1.0, 1.5, 0.7, 1.0)  # s, durations: squeeze, turn, open, return
 
 
-class ScriptedCap(LeafSystem):
+class ScriptedCap(PythonSystem):
     """Repeats the planned stroke without feedback.
 
     Output ports:

@@ -1,19 +1,20 @@
 """The scripted robot of the keys."""
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.keys.planner import KeysPlan, KeysPlanner
 from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
+from geort_drake.systems.python_system import PythonSystem
 from scripted.robot import hand_order, run_script
 
 MOVE = 0.3  # s, duration of a finger's movement
 
 
-class ScriptedKeys(LeafSystem):
+class ScriptedKeys(PythonSystem):
     """Moves a hand between the planned postures above and on the keys.
 
     Input ports:

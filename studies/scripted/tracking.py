@@ -2,7 +2,7 @@
 
 import numpy as np
 from plans import DAMPING
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
@@ -12,6 +12,7 @@ from geort_drake.simulation.tasks.tracking.planner import HOVER, TrackingPlan, T
 from geort_drake.simulation.world import Scene
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from geort_drake.systems.port_values import vector_to_pose
+from geort_drake.systems.python_system import PythonSystem
 from scripted.robot import hand_order, run_script
 
 _PERIOD = 0.01  # s
@@ -21,7 +22,7 @@ _RATE, _SPEED = 3.0, 0.03  # correction rate of the puck's error, 1/s; largest s
 _PULL = 0.05  # fraction of the distance to the middle of the joint ranges per iteration
 
 
-class ScriptedTracking(LeafSystem):
+class ScriptedTracking(PythonSystem):
     """Closes the fingers on the puck, and then moves their targets by v + ω × r towards the puck's target.
 
     Input ports:

@@ -1,20 +1,21 @@
 """The scripted robot of the trigger."""
 
 import numpy as np
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.trigger.planner import TriggerPlan, TriggerPlanner
 from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
+from geort_drake.systems.python_system import PythonSystem
 from scripted.robot import hand_order, run_script
 
 _MOVES = (0.5, 2.0, 1.0)  # s, durations: wait, move the fingers around the handle, squeeze
 _RATE = 100.0  # 1/(m s), fraction of the whole pull per missing travel of the pad and second
 
 
-class ScriptedTrigger(LeafSystem):
+class ScriptedTrigger(PythonSystem):
     """Moves a hand between the planned postures, and pulls at a rate proportional to the missing travel.
 
     Input ports:

@@ -23,12 +23,13 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
-from pydrake.systems.framework import Context, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, EventStatus
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.world import ARM, HAND, actuated_joints
 from geort_drake.systems.port_values import pose_to_vector
+from geort_drake.systems.python_system import PythonSystem
 
 FRAME_PERIOD = 0.032  # s; gives at least 30 frames a second
 _GREY, _TARGET_OPACITY = [0.75, 0.75, 0.78, 1.0], 0.35
@@ -156,7 +157,7 @@ def _numbers(X: RigidTransform) -> list[float]:
     return [round(value, 6) for value in pose_to_vector(X).tolist()]
 
 
-class PoseStream(LeafSystem):
+class PoseStream(PythonSystem):
     """Sends frames of body poses and keypoints to the page.
 
     Input ports:
@@ -196,7 +197,7 @@ class PoseStream(LeafSystem):
         return EventStatus.Succeeded()
 
 
-class RobotKinematics(LeafSystem):
+class RobotKinematics(PythonSystem):
     """Computes the poses of a real robot's bodies from its measured joints.
 
     Input ports:

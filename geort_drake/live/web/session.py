@@ -25,7 +25,6 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder
-from geort_drake.systems.release import release
 
 if TYPE_CHECKING:
     from geort_drake.live.web.server import WebServer
@@ -109,10 +108,8 @@ class WebTeleoperation:
             if stop() or not control.again:
                 return total, loop
             engaged = False
-            # Drake never frees systems in Python, and the rest is in reference cycles, so resets would leak.
-            release(loop.diagram)
             del loop
-            gc.collect()
+            gc.collect()  # diagrams are part of reference cycles
 
     def _model(self, scenario: Scenario) -> RobotModel:
         first = next(iter(self.scenarios))

@@ -7,10 +7,11 @@ from typing import Any, Protocol
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.systems.python_system import PythonSystem
 
 
 class Person(Protocol):
@@ -30,7 +31,7 @@ class Person(Protocol):
         """Returns the state after one decision at time t, s; does not change `state`."""
 
 
-class SimulatedOperator(LeafSystem):
+class SimulatedOperator(PythonSystem):
     """Outputs what a glove and a tracker measure of a person, who decides once every `OperatorConfig.period`.
 
     The inputs should be delayed by `OperatorConfig.visual_delay`.
