@@ -1,14 +1,19 @@
 """The assembled diagram: hand and arm follow the glove, and ports are described."""
 
 import dataclasses as dc
+import gc
 import inspect
 import re
+import weakref
 
 import numpy as np
 import pytest
 from grasp_setup import allegro, centred_map, human_with, resting_glove, scenario_with, started
+from live_messages import station
+from loop_bench import LoopBench
+from pydrake.systems.framework import System
 
-from geort_drake import Recording, make_trial_diagram
+from geort_drake import Recording, load_retargeter, make_trial_diagram
 from geort_drake.simulation.world import HAND
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
@@ -99,3 +104,25 @@ def test_the_scenarios_correction_has_the_last_word_on_the_hand():
         if to is parts.plant and port == wanted.get_index()
     ]
     assert isinstance(source, SelfCollisionGuard)
+
+
+def systems_in(system: System) -> list[System]:
+    return [system, *(inner for part in getattr(system, "GetSystems", list)() for inner in systems_in(part))]
+
+
+def systems_after_steps(path) -> list[weakref.ref]:
+    """The systems of a recorded trial and of a teleoperation."""
+    parts = make_trial_diagram(scenario_with(), centred_map(), human_with(), path)
+    bench = LoopBench(station(), load_retargeter("allegro_right"))
+    with parts.recorder:
+        started(parts).AdvanceTo(0.05)
+    bench.step()
+    return [weakref.ref(each) for root in (parts.diagram, bench.loop.diagram) for each in systems_in(root)]
+
+
+def test_diagrams_are_freed(tmp_path):
+    """When nothing refers to them, though many of their systems are written in Python."""
+    systems = systems_after_steps(tmp_path / "trial.rrd")
+    for _ in range(2):
+        gc.collect()
+    assert len(systems) > 35 and not [system() for system in systems if system() is not None]

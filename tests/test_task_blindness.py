@@ -23,7 +23,7 @@ from geort_drake.simulation.tasks.trigger.planner import TriggerGoal
 HARMLESS = {
     *("errors", "files", "settings", "people.human_hand", "people.keypoints", "people.recording"),
     *("simulation.tasks.grasp.goal",),
-    *("simulation.wrist_motion", "systems.port_values"),
+    *("simulation.wrist_motion", "systems.port_values", "systems.python_system"),
 }
 DRAKE = {"pydrake.math", "pydrake.common.value", "pydrake.common.eigen_geometry", "pydrake.systems.framework"}
 LOAD = """

@@ -1,12 +1,8 @@
 """Whole grasps: through a known map, from a recording, after free play, and with a faulty glove."""
 
 import dataclasses as dc
-import gc
 import json
-import weakref
-from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,29 +10,16 @@ from grasp_setup import (
     Constant,
     allegro,
     centred_map,
-    goals,
     human_with,
     person_who_plays,
     planned_goal,
-    reach_goal,
     resting_glove,
     scenario_with,
-    started,
 )
-from live_messages import station
-from loop_bench import LoopBench
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Diagram, System
 from system_bench import SystemBench
 
-from geort_drake import (
-    Recording,
-    load_retargeter,
-    load_scenario,
-    make_trial_diagram,
-    run_trial,
-    synthesize_play,
-)
+from geort_drake import Recording, run_trial, synthesize_play
 from geort_drake.retargeting.methods import make_untrained
 from geort_drake.simulation.free_play import keep_reached, persons_hand, seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
@@ -126,35 +109,6 @@ def test_the_time_in_self_contact_is_the_trials():
     assert 0.5 < crossed.self_contact < 1.0
     rest, _ = run_trial(scenario, Constant(), resting_glove(2.0))
     assert rest.self_contact == 0.0
-
-
-def diagrams(tmp_path: Path) -> Iterator[Diagram]:
-    """Two trials of a left hand, one of them recorded, and a teleoperation, after some steps."""
-    universal = load_retargeter("allegro_left")  # which the diagram keeps in its state too
-    for goal, path in ((reach_goal(), tmp_path / "trial.rrd"), (goals("keys")[0], None)):
-        scenario = load_scenario(task="keys" if path is None else "grasp", hand="allegro_left")
-        parts = make_trial_diagram(scenario, universal, (person_who_plays(), goal.mirrored()), path)
-        started(parts).AdvanceTo(0.05)
-        if parts.recorder:
-            parts.recorder.close()
-        yield parts.diagram
-    bench = LoopBench(station(), load_retargeter("allegro_right"))
-    bench.step()
-    yield bench.loop.diagram
-
-
-def systems_in(diagram: Diagram) -> Iterator[System]:
-    yield diagram
-    for system in diagram.GetSystems():
-        yield from systems_in(system) if isinstance(system, Diagram) else [system]
-
-
-def test_diagrams_are_freed(tmp_path):
-    """With all systems, when nothing refers to them, though many are written in Python."""
-    systems = [weakref.ref(system) for diagram in diagrams(tmp_path) for system in systems_in(diagram)]
-    for _ in range(2):
-        gc.collect()
-    assert len(systems) > 50 and not [system() for system in systems if system() is not None]
 
 
 def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_work(tmp_path):

@@ -17,7 +17,7 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.method import Retarget
-from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
+from geort_drake.simulation.following import add_arm, add_fingers, robot_model
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
@@ -85,7 +85,7 @@ def make_trial_diagram(
     builder = DiagramBuilder()
 
     # The robot alone, for the inverse kinematics.
-    model = RobotModel(scenario, description)
+    model = robot_model(scenario, description)
     X_WB_start = model.X_WB
 
     # The plant and the monitor of the task.
