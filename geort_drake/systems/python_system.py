@@ -10,7 +10,12 @@ from pydrake.systems import framework
 def weak_callback(system: framework.System, callback: Callable) -> Callable:
     """Keeps a callback as part of a system in Python, and returns a weak reference that Drake can call."""
     system.__dict__.setdefault("_callbacks", []).append(callback)
-    return weakref.proxy(callback)
+    reference = weakref.ref(callback)
+
+    def call(*arguments: Any) -> Any:  # Drake 1.58 takes no weakref.proxy
+        return reference()(*arguments)  # type: ignore[misc]
+
+    return call
 
 
 def _with_weak_callbacks(name: str) -> Callable:
@@ -25,15 +30,18 @@ def _with_weak_callbacks(name: str) -> Callable:
     return declare_weakly
 
 
-class Freeable(type(framework.System)):  # type: ignore[misc]
-    """Metaclass of systems that add no dictionary to pydrake's: Python 3.11 would never free them.
+Freeable: Any = type(framework.System)
+if Freeable.__name__ == "pybind11_type":  # nanobind, in newer releases of Drake, does not need it
 
-    Its garbage collector would visit the dictionary twice, and so count more references than there are.
-    """
+    class Freeable(Freeable):  # type: ignore[no-redef]
+        """Metaclass of systems that add no dictionary to pydrake's: Python 3.11 would never free them.
 
-    def __new__(mcs, name: str, bases: tuple, namespace: dict, **options: Any) -> type:
-        namespace.setdefault("__slots__", ())
-        return super().__new__(mcs, name, bases, namespace, **options)
+        Its garbage collector would visit the dictionary twice, and so count more references than there are.
+        """
+
+        def __new__(mcs, name: str, bases: tuple, namespace: dict, **options: Any) -> type:
+            namespace.setdefault("__slots__", ())
+            return super().__new__(mcs, name, bases, namespace, **options)
 
 
 class PythonSystem(framework.LeafSystem, metaclass=Freeable):
