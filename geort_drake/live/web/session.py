@@ -90,6 +90,8 @@ class WebTeleoperation:
                 (control.task, control.object), control.note = before, str(error)
                 loop = self._begin(scenes, timeout)
             before = control.task, control.object
+            for _ in range(2):  # the first frees what keeps the rest of the last diagram alive
+                gc.collect()
             report = run_session(
                 loop,
                 engaged,
@@ -108,8 +110,6 @@ class WebTeleoperation:
             if stop() or not control.again:
                 return total, loop
             engaged = False
-            del loop
-            gc.collect()  # diagrams are part of reference cycles
 
     def _model(self, scenario: Scenario) -> RobotModel:
         first = next(iter(self.scenarios))
