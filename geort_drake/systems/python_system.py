@@ -30,10 +30,10 @@ def _with_weak_callbacks(name: str) -> Callable:
     return declare_weakly
 
 
-Freeable: Any = type(framework.System)
-if Freeable.__name__ == "pybind11_type":  # nanobind, in newer releases of Drake, does not need it
+_SystemType: Any = type(framework.System)
+if _SystemType.__name__ == "pybind11_type":
 
-    class Freeable(Freeable):  # type: ignore[no-redef]
+    class Freeable(_SystemType):
         """Metaclass of systems that add no dictionary to pydrake's: Python 3.11 would never free them.
 
         Its garbage collector would visit the dictionary twice, and so count more references than there are.
@@ -42,6 +42,9 @@ if Freeable.__name__ == "pybind11_type":  # nanobind, in newer releases of Drake
         def __new__(mcs, name: str, bases: tuple, namespace: dict, **options: Any) -> type:
             namespace.setdefault("__slots__", ())
             return super().__new__(mcs, name, bases, namespace, **options)
+
+else:  # newer releases of Drake use nanobind, which does not need it
+    Freeable = _SystemType  # type: ignore[misc]
 
 
 class PythonSystem(framework.LeafSystem, metaclass=Freeable):
