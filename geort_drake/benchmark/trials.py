@@ -3,6 +3,7 @@
 Workers load this module, so it imports neither training nor plots.
 """
 
+import dataclasses as dc
 import logging
 import os
 import traceback
@@ -18,6 +19,7 @@ from geort_drake.hands.description import load_hand
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.method import Retarget
+from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario, parse_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
@@ -94,7 +96,12 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         scenario.random_seed = key.seed
         scenario.retargeting.latency = trial.latency
         result, recording = run_trial(
-            scenario, trial.retarget, trial.human, rerun_path, {"method": key.method}
+            scenario,
+            trial.retarget,
+            trial.human,
+            rerun_path,
+            {"method": key.method},
+            model=_robot_model(scenario),
         )
     except Exception:
         return {**identity(key), "error": traceback.format_exc()}
@@ -103,6 +110,23 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
     if isinstance(trial.retarget, OwnMethod):
         record["faults"] = dict(trial.retarget.faults)
     return record
+
+
+# Fields of a scenario that determine its robot; and the robot of this worker's last trial.
+_ROBOT_FIELDS = "plant_config", "directives", "hand_parent", "arm_posture", "left_arm_posture"
+_last: dict[str, RobotModel] = {}
+
+
+def _robot_model(scenario: Scenario) -> RobotModel:
+    """Returns the last trial's model if the robot is the same."""
+    robot = Scenario(**{name: getattr(scenario, name) for name in _ROBOT_FIELDS})
+    robot.retargeting = dc.replace(scenario.retargeting, latency=0.0)  # each method has its own
+    description = load_hand(scenario.hand)
+    key = repr((robot, description))
+    if key not in _last:
+        _last.clear()
+        _last[key] = RobotModel(robot, description)
+    return _last[key]
 
 
 def _scenario(text: str, case: str) -> Scenario:

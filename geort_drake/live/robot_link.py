@@ -6,13 +6,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from pydrake.systems.framework import (
-    Context,
-    DiscreteStateIndex,
-    DiscreteValues,
-    EventStatus,
-    InputPort,
-)
+from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValues, EventStatus, InputPort
 
 from geort_drake.errors import LiveError
 from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointGroup, LcmInbox

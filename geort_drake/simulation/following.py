@@ -89,21 +89,6 @@ class RobotModel:
         return builder.Build()
 
 
-# Fields of a scenario that determine its robot's model.
-_ROBOT_FIELDS = "plant_config directives hand_parent arm_posture left_arm_posture retargeting".split()
-_newest: dict[str, RobotModel] = {}
-
-
-def robot_model(scenario: Scenario, description: HandDescription) -> RobotModel:
-    """Returns a model of the robot, the last one again for the same robot, as building takes 0.2 s."""
-    robot = Scenario(**{name: getattr(scenario, name) for name in _ROBOT_FIELDS})
-    key = repr((robot, description))
-    if key not in _newest:
-        _newest.clear()
-        _newest[key] = RobotModel(robot, description)
-    return _newest[key]
-
-
 def add_fingers(
     builder: DiagramBuilder,
     scenario: Scenario,

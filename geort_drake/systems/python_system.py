@@ -50,9 +50,9 @@ else:  # newer releases of Drake use nanobind, which does not need it
 class PythonSystem(framework.LeafSystem, metaclass=Freeable):
     """A LeafSystem that Python's garbage collector frees with its diagram.
 
-    Drake's own LeafSystem is never freed, nor is a diagram that contains one (drake#22515, drake#24162): the
-    callbacks of its output ports are kept in C++, where the garbage collector does not see that they refer to
-    the system. Here the system keeps them, and Drake gets weak references.
+    A class derived from Drake's LeafSystem, with output ports, is never freed, nor is its diagram
+    (drake#22515, drake#24162): callbacks are kept in C++, where the garbage collector does not see that they
+    refer to the system. Here the system keeps them, and Drake gets weak references.
 
     An attribute must not hold what pydrake returns as a part of the same diagram, other than systems and
     ports: a body, a frame, a shape or a cache entry keeps the diagram alive as invisibly. Hold its index or a
