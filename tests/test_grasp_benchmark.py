@@ -128,10 +128,10 @@ def test_a_submitted_method_adds_its_row_with_the_settings_of_the_others(copy, t
 def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatch):
     """Its traceback is in a file and the exit code is 1, until a repetition succeeds."""
 
-    def failing(scenario, *rest):
+    def failing(scenario, *rest, **options):
         if scenario.random_seed == 1:
             raise ArithmeticError("the <map> has failed")
-        return run_trial(scenario, *rest)
+        return run_trial(scenario, *rest, **options)
 
     with monkeypatch.context() as patch:
         patch.setattr(trials, "run_trial", failing)
@@ -202,7 +202,7 @@ def test_a_trial_can_be_recorded_and_must_come_out_the_same(copy, capsys):
 
 
 def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, play, monkeypatch):
-    """It is in the configuration and in the scenario of its trials."""
+    """It is in the configuration and in the scenario of its trials, which share a model of the robot."""
     arguments = (load_scenario(text=TOO_SHORT), play, ["hold", "vector_online"], ["cylinder"], 1)
     measured = open_benchmark(tmp_path / "measured", *arguments)
     stored = {name: entry["latency_s"] for name, entry in measured.config["methods"].items()}
@@ -210,11 +210,11 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, p
     zero = open_benchmark(tmp_path / "zero", *arguments, zero_latency=True)
     assert zero.config["methods"]["hold"]["latency_s"] == 0
     used = []
-    monkeypatch.setattr(trials, "run_trial", lambda scenario, *_: used.append(scenario.retargeting.latency))
+    monkeypatch.setattr(trials, "run_trial", lambda s, *_, model: used.append((s.retargeting.latency, model)))
     for made in (measured, zero):
         key = TrialKey("hold", "cylinder", 0)
         trials.simulate(made.trial(key, [planned_goal("cylinder")]))
-    assert used == [stored["hold"], 0.0]
+    assert [latency for latency, _ in used] == [stored["hold"], 0.0] and used[0][1] is used[1][1]
 
 
 def test_seeds_are_paired_across_methods(tmp_path, play):
