@@ -17,7 +17,8 @@ from geort_drake.retargeting.methods.coupled.people import (
 )
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
-# Distances in fingertip radii; two tips touch at a distance of 2.
+# Distances in fingertip radii.
+TOUCH = 2.0  # of two tips in contact
 PINCH_TARGET, PINCH_SCALE = 0.875, 0.667
 DEEP, DEEP_MARGIN = 0.333, 0.5
 FALSE_MARGIN = 0.25
@@ -63,7 +64,7 @@ def constraint_terms(
     distance = people.pair_distances(robot.pinching) / tip_radius
     pinched = distance.gather(-1, hands.pinch_pair[..., None])[..., 0]
     weight = hands.pinched.float()
-    terms["open_pinch"] = (_mean(pinch_loss(pinched), weight), _mean(pinched > 2.0, weight))
+    terms["open_pinch"] = (_mean(pinch_loss(pinched), weight), _mean(pinched > TOUCH, weight))
     deep = torch.relu(DEEP_MARGIN - pinched) / SCALE
     terms["deep_pinch"] = (_mean(deep, weight), _mean(pinched < DEEP, weight))
     terms["false_pinch"] = _false_pinches(hands, robot, people, tip_radius)
@@ -128,8 +129,8 @@ def _false_pinches(
     human = people.pair_distances(torch.cat([hands.after, hands.pinching, hands.moved], 1))
     tips = torch.cat([robot.after, robot.pinching, robot.moved], 1)
     distance = people.pair_distances(tips) / tip_radius
-    depth = torch.relu(2.0 + FALSE_MARGIN - distance) / SCALE
-    return _mean(depth, human > NEARLY_APART), _mean(distance < 2.0, human > APART)
+    depth = torch.relu(TOUCH + FALSE_MARGIN - distance) / SCALE
+    return _mean(depth, human > NEARLY_APART), _mean(distance < TOUCH, human > APART)
 
 
 def _worse_half(values: torch.Tensor) -> torch.Tensor:

@@ -19,7 +19,7 @@ from geort_drake.retargeting.methods.coupled import collisions
 from geort_drake.retargeting.methods.coupled.config import CONSTRAINTS, UNIVERSAL_CONFIG, CoupledConfig, Start
 from geort_drake.retargeting.methods.coupled.constraints import Multipliers
 from geort_drake.retargeting.methods.coupled.coverage import CoverageTargets
-from geort_drake.retargeting.methods.coupled.losses import RobotTips, constraint_terms
+from geort_drake.retargeting.methods.coupled.losses import TOUCH, RobotTips, constraint_terms
 from geort_drake.retargeting.methods.coupled.network import CoupledNetwork
 from geort_drake.retargeting.methods.coupled.people import Hands, TrainingPeople
 from geort_drake.retargeting.methods.coupled.population import WHOLE, code_people
@@ -186,7 +186,7 @@ class _Training:
         with torch.no_grad():
             tips = kinematics.fingertips(q)
         nearest = people.pair_distances(tips.to(people.device)).amin(0)
-        people.closable = nearest < 2.0 * kinematics.tip_radius
+        people.closable = nearest < TOUCH * kinematics.tip_radius
         voxels = [
             torch.tensor(voxel_centres(tip.numpy(), ROBOT_VOXEL), dtype=torch.float32, device=people.device)
             for tip in tips.unbind(1)
