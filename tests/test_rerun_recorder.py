@@ -65,8 +65,7 @@ def test_a_screenshot_is_a_picture_or_a_reason(tmp_path, monkeypatch):
     try:
         take_screenshot(world.recorder.path, picture, size=(320, 240))
     except RecordingError as error:
-        assert "mesa-vulkan-drivers" in str(error)
-        assert not picture.exists()
+        assert "mesa-vulkan-drivers" in str(error) and not picture.exists()
     else:
         assert picture.read_bytes().startswith(b"\x89PNG")
 
@@ -77,10 +76,10 @@ def test_properties_keep_their_types_from_one_recording_to_the_next(tmp_path):
         world = World().finalize().record(tmp_path / f"{number}.rrd", properties={"seed": seed})
         world.recorder.set_properties({"outcome": "held"})
         world.recorder.close()
-        _, value = read(world.recorder.path, "/__properties/run", "seed")
-        assert value[0].tolist() == [seed]
-        _, value = read(world.recorder.path, "/__properties/run", "outcome")
-        assert value[0].tolist() == ["held"]
+        for name, expected in (("seed", seed), ("outcome", "held")):
+            assert read(world.recorder.path, "/__properties/run", name)[1][0].tolist() == [expected]
+    with pytest.raises(OutputError, match="is closed"):
+        world.recorder.set_properties({"outcome": "too late"})
 
 
 def test_a_file_that_cannot_be_written_is_refused_before_the_simulation(tmp_path):

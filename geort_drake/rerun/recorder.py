@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus, OutputPort, PortDataType
 
+from geort_drake.errors import OutputError
 from geort_drake.rerun.layout import Layout
 from geort_drake.rerun.specs import Spec
 from geort_drake.rerun.streams import Property, Viewer, file_writer, live_writer
@@ -84,7 +85,13 @@ class RerunRecorder(PythonSystem):
         atexit.register(self._close_at_end)
 
     def set_properties(self, properties: Mapping[str, Property]) -> None:
-        """Adds properties to the file, such as an outcome that is known only at the end."""
+        """Adds properties to the file, such as an outcome that is known only at the end.
+
+        Raises:
+            OutputError: the recorder is closed.
+        """
+        if self._closed:
+            raise OutputError("the recorder is closed: set properties before it is")
         self._properties.update(properties)
 
     def flush(self) -> None:
