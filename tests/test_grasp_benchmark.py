@@ -121,8 +121,9 @@ def test_a_submitted_method_adds_its_row_with_the_settings_of_the_others(copy, t
     assert after["config"]["settings"] == before["config"]["settings"]
     with pytest.raises(BenchmarkError, match=r"config\.json: no such file"):
         run_command("benchmark", ["--output", str(tmp_path), "--submit", "affine_ik"])
-    with pytest.raises(UsageError, match="leave out --methods"):
-        run_command("benchmark", ["--output", str(copy), "--submit", "hold", "--methods", "hold"])
+    for option, value in (("--methods", "hold"), ("--trials", "3")):
+        with pytest.raises(UsageError, match=f"leave out {option}"):
+            run_command("benchmark", ["--output", str(copy), "--submit", "hold", option, value])
 
 
 def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatch):

@@ -97,8 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.rrd and not arguments.report:
         return repeat(arguments.output, method, object_name, int(seed), *condition)
     if arguments.submit:
-        if arguments.methods or arguments.report:
-            raise UsageError("--submit names the only method that runs; leave out --methods and --report")
+        for name in ("methods", "objects", "trials", "quick", "recording", "operator", "report"):
+            if getattr(arguments, name):
+                raise UsageError(f"--submit runs one method as --output states; leave out --{name}")
         return submit(arguments)
     chosen = QUICK if arguments.quick else {"methods": None, "objects": None, "trials": 30}
     for name, default in chosen.items():
