@@ -198,8 +198,10 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
 def test_only_a_retargeter_of_the_hand_that_takes_batches_is_evaluated(allegro):
     with pytest.raises(HandError, match="another hand than 'allegro_right': joint_names differ"):
         metrics.evaluate(load_retargeter("leap_right"), allegro, synthesize_play(0, duration_s=1.0))
-    with pytest.raises(ValueError, match=r"it returned \(16,\) for \(20, 4, 3\)"):
-        metrics.evaluate_frames(lambda _p_HF: np.zeros(16), allegro, np.zeros((20, 4, 3)), 60.0)
+    lost = np.where(np.arange(20) < 2, np.nan, np.zeros((16, 20))).T
+    for answer, fault in ((lost[0], r"it returned \(16,\) for \(20, 4, 3\)"), (lost, "2 of 20 rows are not")):
+        with pytest.raises(ValueError, match=fault):
+            metrics.evaluate_frames(lambda _, q=answer: q, allegro, np.zeros((20, 4, 3)), 60.0)
 
 
 def test_the_worst_is_the_lowest_or_the_highest():

@@ -304,4 +304,7 @@ def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.nda
                 f"a retargeter must return (N, n) for (N, F, 3); it returned {np.shape(returned)} for "
                 f"{given.shape}"
             )
-    return np.concatenate(q)
+    joined = np.concatenate(q)
+    if lost := np.count_nonzero(~np.isfinite(joined).all(axis=1)):
+        raise ValueError(f"a retargeter must return finite angles; {lost} of {len(joined)} rows are not")
+    return joined
