@@ -127,7 +127,7 @@ def _recording(source: Source, tracks: Tracks, metadata: dict, rate_hz: float | 
         t = numbers / (rate_hz or ASSUMED_RATE_HZ)
     if not metadata["rate_known"]:
         what = f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed"
-        source.findings.append(warning("timestamps", what, advice="if you know better, import with --rate"))
+        source.findings.append(warning("timestamps", what, advice="if you know better, convert with --rate"))
     if len(t) and t[0] > _MIN_UNIX_TIME_S:
         metadata["start_time_unix_s"] = float(t[0])
     p_VK = mirrored(p_WK) if metadata["side"] == "left" else p_WK
@@ -176,6 +176,6 @@ def _without_duplicates(source: Source, p_WK: np.ndarray, t: np.ndarray) -> np.n
 def _require_side(path: Path, given: str | None, expected: str) -> None:
     if given is not None and given != expected:
         raise RecordingError(
-            f"{path}: the file contains a {given} hand, a {expected} one was requested; give --side {given}, "
-            f"or convert it with --side {given} --mirror"
+            f"{path}: the file contains a {given} hand, a {expected} one was requested; give --side {given} "
+            f"or a {given} robot hand, or convert it with --side {given} --mirror"
         )

@@ -58,7 +58,7 @@ def check_unit(recording: Recording) -> Iterator[Finding]:
         fits = [other for other, size in UNITS_M.items() if low <= number * size <= high]
         what = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
         what += f"; it would be right if lengths were in {fits[0]}" if fits else ""
-        advice = f"import them with --unit {fits[0]}" if fits and unit else "give keypoints in metres"
+        advice = f"convert it with --unit {fits[0]}" if fits and unit else "give keypoints in metres"
         yield error("unit", what, "p_HK", advice)
 
 

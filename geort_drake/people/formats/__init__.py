@@ -47,7 +47,7 @@ def choose(path: Path, contents: Any, format: str = AUTO) -> str:
     choices = "; ".join(f"{name} ({entry.title})" for name, entry in candidates.items())
     raise RecordingError(
         f"{path}: contains {description(contents)}, which matches no known format; choose one for '{suffix}' "
-        f"files: {choices}"
+        f"files: {choices}; or make a Recording from its keypoints in Python"
     )
 
 

@@ -67,7 +67,7 @@ def _label_of_side(file: Source, seen: Mapping[str, np.ndarray], side: str) -> s
     if label != side:
         what = f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because "
         what += "MediaPipe's labels often assume mirrored images"
-        advice = f"if the image itself was mirrored, this was a {label} hand: import it with --mirror"
+        advice = f"if the image itself was mirrored, this was a {label} hand: convert it with --mirror"
         file.findings.append(warning("handedness", what, "handedness", advice))
     return label
 
