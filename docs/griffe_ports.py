@@ -1,5 +1,7 @@
 """Griffe extension: shows the ports and states that a docstring lists as Markdown lists."""
 
+import importlib
+import inspect
 import re
 from typing import Any
 
@@ -36,3 +38,9 @@ class Ports(griffe.Extension):
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring is not None:
             obj.docstring.value = with_lists(obj.docstring.value)
+
+    def on_attribute_instance(self, *, attr: griffe.Attribute, **_: Any) -> None:
+        """Gives an instance of a Drake template the docstring of its class."""
+        if str(attr.value) == f"{attr.name}_[None]":
+            made = getattr(importlib.import_module(attr.module.path), attr.name)
+            attr.docstring = griffe.Docstring(with_lists(inspect.getdoc(made) or ""), parent=attr)

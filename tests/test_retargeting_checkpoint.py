@@ -92,8 +92,7 @@ def test_the_map_has_exact_gradients_in_autodiff():
     """Those of the Jacobian, by joint name and keypoint; all other keypoints have none."""
     tips = (4, 12, 8, 16)  # a hand's description may swap fingers
     retarget = smooth_retargeter(tips=tips)
-    order = JOINTS[::-1]
-    system = RetargetingMap(retarget, order)
+    system = RetargetingMap(retarget, JOINTS[::-1])
     context = system.CreateDefaultContext()
     system.get_input_port().FixValue(context, HAND.ravel())
     np.testing.assert_array_equal(system.get_output_port().Eval(context), retarget(HAND)[::-1])

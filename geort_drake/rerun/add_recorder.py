@@ -45,6 +45,7 @@ def add_rerun_recorder(
         builder: builder of the diagram that contains `plant` and all ports below. For a port inside a nested
             diagram, give the nested diagram's exported port; for a plant inside one, see `plant_ports`.
         plant: finalized plant.
+        scene_graph: the scene graph with the plant's geometry.
         path: the .rrd file, whose folder is created if needed; None with viewers only.
         specs: entity path → what to record in addition to the plant: signals and states under /; hands,
             points and cameras under /world.

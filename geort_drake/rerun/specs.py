@@ -90,7 +90,10 @@ class SignalSpec(Spec):
                     "one per name"
                 )
         elif size != n:
-            raise ScenarioError(f"recording of '{key}': {port_name(ports[0])} has size {size}, but {n} names")
+            raise ScenarioError(
+                f"recording of '{key}': {port_name(ports[0])} has size {size}, but {n} names; `derive` can "
+                "select elements"
+            )
         if self.colors is not None and len(self.colors) != n:
             raise ScenarioError(f"recording of '{key}': {n} names, but {len(self.colors)} colors")
         return {f"{key}/{i}" if len(ports) > 1 else key: port for i, port in enumerate(ports)}

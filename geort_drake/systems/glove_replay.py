@@ -23,7 +23,8 @@ class GloveReplay(PythonSystem):
         wrist_pose (abstract RigidTransform): X_WH of the tracker; the identity if the recording has none.
         valid (1): 1 tracked, 0 lost.
 
-    Before the recording it outputs the first sample, after it the last one.
+    Before the recording it outputs the first sample, after it the last one. A left hand appears as its mirror
+    image, which retargeters expect; to draw it or to move an arm, `HandMirror` mirrors it back.
 
     Raises:
         RecordingError: the recording has no frames.

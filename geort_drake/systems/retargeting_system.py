@@ -68,7 +68,7 @@ class RetargetingSystem(PythonSystem):
 
     Args:
         retarget: a `UniversalRetargeter`, or a function from keypoints (21, 3), m in H, to joint positions
-            (n,), rad, in the order of `joint_names`.
+            (n,), rad, in the order of `joint_names`. If it raises an exception, the simulation ends.
         joint_names: the retargeter's joints.
         actuated_joints: the same joints in actuator order.
         initial_positions: joint name → rad, the targets before the first update; 0 for a joint without one.
@@ -81,7 +81,8 @@ class RetargetingSystem(PythonSystem):
 
     Raises:
         HandError: the actuated joints are not the retargeter's, the joint limits are unknown or of
-            other joints, or an initial position is outside them.
+            other joints, or an initial position is outside them; while it runs, `retarget` returned another
+            shape.
         ValueError: a value of `checks`, or the period, latency or cutoff is out of range.
     """
 

@@ -51,7 +51,7 @@ class WristToArm(Diagram, metaclass=Freeable):
     """Turns the tracker's wrist pose into the arm's desired state.
 
     Input ports:
-        wrist_pose (abstract RigidTransform): X_WH of the tracker.
+        wrist_pose (abstract RigidTransform): X_WH of the tracker; of a left hand, not mirrored.
         valid (1): 1 tracked, 0 lost: the arm brakes within its limits and holds.
     Output port:
         arm_desired_state (2·na): the arm's joint positions (rad), then velocities (rad/s), plant order.
@@ -63,6 +63,7 @@ class WristToArm(Diagram, metaclass=Freeable):
         robot: robot and surroundings; its default positions are the start and the nominal posture.
         arm: the model in `robot` whose joints move; other joints stay at their default.
         hand_frame: the frame B of `robot` that follows the wrist.
+        config: gains and limits, such as `geort_drake.systems.wrist_to_arm.WristToArmConfig()`.
         limit_acceleration: whether following respects the model's acceleration limits too; real robots need
             that.
     """
