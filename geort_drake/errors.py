@@ -4,7 +4,7 @@ A message names file, field and frame, what was expected, what was given, and th
 print the message alone and exit with code 2.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class GeortError(Exception):
@@ -63,5 +63,10 @@ class UnknownNameError(GeortError):
     """A name is unknown; the message lists the valid ones."""
 
     def __init__(self, kind: str, given: str, choices: Iterable[str]):
-        listed = ", ".join(sorted(choices)) or "none"
-        super().__init__(f"unknown {kind} '{given}'; choose one of: {listed}")
+        super().__init__(f"unknown {kind} '{given}'; choose one of: {', '.join(sorted(choices)) or 'none'}")
+
+
+def listed(names: Sequence[str], most: int = 8) -> str:
+    """Joins names by commas; of more than `most`, the last ones are counted."""
+    more = len(names) - most
+    return ", ".join(names if more <= 0 else [*names[:most], f"and {more} more"])

@@ -13,11 +13,12 @@ from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial.transform import Rotation
 
 from geort_drake import HandModel, load_hand
 from geort_drake.cli import run_command
 from geort_drake.errors import HandError, OutputError, UnknownNameError
-from geort_drake.hands.assembly import parse_model
+from geort_drake.hands.assembly import detach_from_world, parse_model
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.importers.checks import examine
@@ -135,7 +136,8 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
         "<inertial>": '<inertial><origin xyz="-0.012 0 0.04"/>',
     }
     if kind == "xml":
-        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="parts"/><worldbody>'
+        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="a"/>'
+        head += '<compiler meshdir="parts"/><worldbody>'
         changes = {"<worldbody>": head, '<geom type="box".*?/>': f'<geom type="mesh" mesh="{name[:4]}"/>'}
     (folder / "parts").mkdir()
     (folder / "parts" / name).write_bytes(MESHES[name])
@@ -217,9 +219,7 @@ LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 
 def test_an_unusable_mesh_is_named(content, message, tmp_path):
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
     mesh = tmp_path / "parts" / "palm.stl"
-    mesh.unlink()
-    if content is not None:
-        mesh.write_bytes(content)
+    mesh.unlink() if content is None else mesh.write_bytes(content)
     with pytest.raises(HandError, match=message) as error:
         convert_model(model, tmp_path / "copy", [])
     assert str(mesh) in str(error.value)
@@ -238,42 +238,55 @@ def test_a_git_lfs_pointer_is_named(file, tmp_path):
 
 
 def tree(body: str, head: str = "") -> ET.Element:
-    return ET.fromstring(f"<mujoco>{head}<worldbody><body>{body}</body></worldbody></mujoco>")
+    return ET.fromstring(f"<mujoco>{head}<worldbody><body name='root'>{body}</body></worldbody></mujoco>")
 
 
-@pytest.mark.parametrize(
-    "servo",
-    ['position kp="7"', 'general biastype="affine" gainprm="7" biasprm="0 -7 0"'],
-    ids=lambda s: s[:8],
-)
-def test_settings_reach_inner_classes(servo, tmp_path):
-    """Axis, limits, gain and size, through a class without a joint, geom or motor, in an included file.
+@pytest.mark.parametrize("servo", ['position kp="7"', 'general biastype="affine" gainprm="7" biasprm="0 -7"'])
+def test_mjcf_is_read_as_mujoco_reads_it(servo, tmp_path):
+    """Axis, limits, gain and size reach inner classes, also through a class without joint, geom or motor.
 
-    A servo's force is limited by its range of force, not by that of its input.
+    Classes of several files are one; files name others relative to the first. All joints of a body turn about
+    its origin; it does not touch its parent. A servo's force is limited by its range of force, not by that of
+    its input. The base may have a motor, a fixed body no mass; a frame is a body; a table is left out.
     """
     tag = servo.split()[0]
     (tmp_path / "classes.xml").write_text(
-        '<mujoco><default><default class="a"><joint axis="1 0 0" range="0 1"/>'
+        '<mujoco><default><joint axis="0 1 0"/><default class="a"><joint axis="1 0 0" range="0 1"/>'
         f'<geom type="sphere" size="0.03"/><{servo} ctrlrange="0 1" forcerange="-5 5"/>'
         '<default class="b"><site/><default class="c"><geom rgba="1 0 0 1"/></default></default>'
         "</default></default></mujoco>",
         encoding="utf-8",
     )
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "all.xml").write_text('<mujoco><include file="classes.xml"/></mujoco>')
+    mass = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
     model = tree(
-        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="j" class="c"/><geom class="c"/>',
-        '<compiler angle="radian"/><include file="classes.xml"/><actuator>'
-        f'<{tag} joint="j" class="c"/></actuator>',
+        f'{mass}<joint name="j" class="c"/><geom class="c"/><body name="f" pos="0.01 0 0" euler="0.3 0 0">'
+        f'{mass}<geom class="c"/><joint name="k"/><joint name="l" axis="0 0 1"/><frame pos="0 0 1">'
+        f'<body name="tip" pos="1 2 2">{mass.replace("1", "0")}</body></frame></body>',
+        '<compiler angle="radian"/><include file="parts/all.xml"/><default><joint range="-1 2"/></default>'
+        f'<actuator><{tag} joint="j" class="c"/></actuator><worldbody><body name="table"/></worldbody>'
+        '<contact><exclude body1="root" body2="table"/></contact>',
     )
     (tmp_path / "model.xml").write_bytes(ET.tostring(model))
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    parse_model(plant, tmp_path / "model.xml", "model")
+    hand = parse_model(plant, tmp_path / "model.xml", "model")
     joint, inspector = plant.GetJointByName("j"), scene_graph.model_inspector()
     np.testing.assert_allclose(joint.revolute_axis(), [1, 0, 0])
-    assert (joint.position_lower_limit(), joint.position_upper_limit()) == (0, 1)
+    limits = [(j.position_lower_limit(), j.position_upper_limit()) for j in map(plant.GetJointByName, "jkl")]
+    assert limits == [(0, 1), (-1, 2), (-1, 2)]
     (motor,) = (plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices())
     assert (motor.get_controller_gains().p, motor.effort_limit()) == (7, 5)
-    (geometry,) = inspector.GetAllGeometryIds(Role.kProximity)
-    assert inspector.GetShape(geometry).radius() == 0.03
+    assert inspector.GetShape(inspector.GetAllGeometryIds(Role.kProximity)[0]).radius() == 0.03
+    detach_from_world(plant, hand)
+    plant.Finalize()
+    assert not inspector.GetCollisionCandidates() and not plant.HasBodyNamed("table")
+    context = plant.CreateDefaultContext()
+    for name, angle in (("k", 0.5), ("l", 0.4)):
+        plant.GetJointByName(name).set_angle(context, angle)
+    tip, root = plant.GetFrameByName("tip"), plant.GetFrameByName("root")
+    wanted = Rotation.from_euler("XYZ", [0.3, 0.5, 0.4]).apply([1, 2, 3]) + [0.01, 0, 0]
+    np.testing.assert_allclose(tip.CalcPose(context, root).translation(), wanted)
 
 
 def tendon(coefficients: dict[str, float], settings: str = "", more: str = "") -> ET.Element:
@@ -303,14 +316,15 @@ FIXED_LENGTH = '<equality><tendon tendon1="t" polycoef="0.5 0 0 0 0"/></equality
         (tendon({"a": 1, "b": 1, "c": 1}, NARROW), []),
         (tendon({"a": 1, "b": 1}, more=MOTOR.replace("/><", '/><motor joint="b"/><')), []),
         (tendon(OPPOSITE, more=FIXED_LENGTH.replace("/>", ' active="false"/>')), []),
+        (tendon(OPPOSITE, NARROW, '<equality><joint joint1="a" joint2="b"/></equality>'), []),
     ],
     ids=["range", "class", "equality", "motor", "outer leads"]
-    + ["loose", "no limits", "three joints", "motors of both", "inactive"],
+    + ["loose", "no limits", "three joints", "motors of both", "inactive", "equality of joints"],
 )
 def test_a_tendon_couples_two_joints(model, expected):
     """By its range, its class's, a fixed length, or one motor; a joint with a motor leads.
 
-    Loose or inactive ones couple nothing, nor those of joints with motors or of more than two joints.
+    Loose or inactive ones couple nothing, nor those of three joints, or of joints with motors or an equality.
     """
     found = [(*dc.astuple(each.coupling), each.assumed) for each in tendon_couplings(model)]
     assert found == [pytest.approx(each) for each in expected]
@@ -322,7 +336,7 @@ def test_ignored_parts_are_named(tmp_path):
     more += '<tendon><spatial name="rope"/></tendon><actuator><motor tendon="rope"/></actuator>'
     model = write_hand(tmp_path, HandSpec(3, "xml"), changes={"</mujoco>": f"{more}</mujoco>"})
     notes = " ".join(propose(model).notes)
-    assert "tendon 'rope'" in notes and "closed loop at 'index_l3' and 'middle_l3'" in notes
+    assert "move independently: 'rope'" in notes and "closed loop at 'index_l3' and 'middle_l3'" in notes
 
 
 INERTIA = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
@@ -417,3 +431,4 @@ def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
         description = propose(model, palm=f"{side}_palm").description
         assert (description.side, len(description.fingers)) == (side, fingers)
         assert {joint.partition("_")[0] for joint in description.joint_names} == {side}
+        assert "fall freely" in " ".join(examine(HandModel(description)))

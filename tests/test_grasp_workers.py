@@ -84,17 +84,13 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_worker_that_dies_leaves_a_helpful_message(jobs):
-    """Finished trials are kept, and the same command continues."""
+def test_a_worker_that_dies_or_loaded_other_code_is_told(jobs, monkeypatch):
+    """Finished trials are kept, and the same command continues; also with one that starts after a change."""
     with pytest.raises(BenchmarkError, match=r"a worker process ended.*run the same command again"):
         list(call_in_workers(os._exit, [(1,)], jobs))
-
-
-def test_a_worker_that_loaded_other_code_is_named(monkeypatch):
-    """One that starts after the code was changed."""
     monkeypatch.setattr(workers, "code_digest", lambda: "of before")
     with pytest.raises(BenchmarkError, match=r"a worker on .* not of before; finished trials are kept"):
-        list(call_in_workers(os.getpid, [()], 1))
+        list(call_in_workers(os.getpid, [()], jobs))
 
 
 def test_the_digest_covers_what_a_worker_loads():

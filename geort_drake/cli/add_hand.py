@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geort_drake.cli.options import CommandParser, command, finish, output_file, view, write_json
-from geort_drake.errors import OutputError, UsageError
+from geort_drake.errors import OutputError, UsageError, listed
 from geort_drake.files import require_writable
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def _describe(arguments: argparse.Namespace) -> "tuple[Path, HandDescription, li
     """Writes a model's description; returns its path, the description and notes for the user."""
     from geort_drake.hands.description import write_description
     from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
-    from geort_drake.hands.importers.proposal import listed, propose
+    from geort_drake.hands.importers.proposal import propose
 
     given = arguments.model
     if arguments.output is not None and arguments.output.suffix not in (".yaml", ".yml"):

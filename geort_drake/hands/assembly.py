@@ -118,7 +118,8 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
         else:
             (hand,) = add_models(parser, path)
     except (RuntimeError, ValueError, SystemExit) as error:  # failed assertions in Drake exit
-        raise HandError(f"{source}: not a single readable model: {error}") from error
+        reason = str(error).removeprefix("<literal-string>.urdf:")  # MJCF is parsed as a text
+        raise HandError(f"{source}: not a single readable model: {reason}") from error
     scene_graph = parser.scene_graph()
     inspector = scene_graph.model_inspector() if scene_graph is not None else None
     check_model_values(model_files(plant, inspector, hand, path), source)
@@ -141,6 +142,7 @@ def detach_from_world(plant: MultibodyPlant, hand: ModelInstanceIndex) -> None:
     """Removes the joints between a model and the world, including welds and floating joints."""
     for joint in _joints(plant, hand):
         if joint.parent_body().index() == plant.world_body().index():
+            _remove_actuators(plant, joint)
             _remove_joint(plant, joint)
 
 

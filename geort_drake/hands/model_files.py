@@ -15,9 +15,9 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from geort_drake.errors import HandError
 from geort_drake.files import require_fetched, sha256_of
 
-_MODEL_SUFFIXES = (".sdf", ".urdf", ".xml", ".mjcf")
 _PRODUCTS_OF_INERTIA = ("ixy", "ixz", "iyz")
 _INERTIA = ("mass", "ixx", "iyy", "izz", *_PRODUCTS_OF_INERTIA)
+_POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")  # of a body in MJCF
 # A vertex line of an OBJ file that does not begin with three finite numbers.
 _NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE](?:-\d+|\+?0*\d{1,2}))?"
 _BAD_VERTEX = re.compile(
@@ -30,25 +30,39 @@ def read_model(path: Path) -> ET.Element:
 
     MJCF is returned with its includes, absolute mesh paths and complete default classes: Drake 1.51 inherits
     an element's settings only if the inner class has such an element itself. Otherwise joints, geoms and
-    actuators lose their axes, limits, sizes and gains. Servos are returned as Drake reads them.
+    actuators lose their axes, limits, sizes and gains. Servos, frames and bodies with several joints are
+    returned as Drake reads them. Fixed bodies beside the hand, such as a table, are left out.
 
     Raises:
-        HandError: the file is missing, a Git LFS pointer or not XML.
+        HandError: the file or an included one is missing, a Git LFS pointer or not XML; or it is only a part
+            of an MJCF model.
     """
-    tree = _parsed(path)
+    tree = _parsed(path, path)
+    if tree.tag == "mujocoinclude":
+        raise HandError(f"{path} is a part of an MJCF model; give the file that includes it")
     if tree.tag == "mujoco":
         tree.set("model", tree.get("model") or path.stem)  # Drake requires a name
         for element, mesh in mesh_elements(path, tree):
             set_mesh(element, mesh)
+        _merge_defaults(tree)
         for outer in tree.iter("default"):  # outer classes come first
             for inner in outer.findall("default"):
                 _inherit(inner, outer)
         _rewrite_servos(tree)
+        for inertial in tree.iter("inertial"):
+            if not inertial.get("mass", "1").strip("0. "):  # of a fixed body; Drake 1.51 would fail
+                inertial.attrib = {"pos": "0 0 0", "mass": "1e-9", "diaginertia": "1e-15 1e-15 1e-15"}
+        for number, frame in enumerate(tree.findall("worldbody//frame")):  # Drake 1.51 ignores them
+            frame.tag = "body"
+            frame.set("name", frame.get("name") or f"frame_{number}")
+        if tree.find("worldbody//joint") is not None:
+            _remove_fixed_bodies(tree)
+        _separate_joints(tree)
     return tree
 
 
-def _parsed(path: Path) -> ET.Element:
-    """Parses the XML of a file, and of those that MJCF includes."""
+def _parsed(path: Path, main: Path) -> ET.Element:
+    """Parses the XML of a file, and of those that MJCF includes; `main` is the outermost file."""
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
     require_fetched(path, HandError)
@@ -60,14 +74,71 @@ def _parsed(path: Path) -> ET.Element:
         tree = ET.fromstring(text)
     except ET.ParseError as error:
         raise HandError(f"{path}: not XML: {error}; expected a URDF, SDF or MJCF file") from error
-    if tree.tag == "mujoco":
+    if tree.tag.startswith("mujoco"):
         for parent in list(tree.iter()):
             for include in parent.findall("include"):
-                file = path.parent / include.get("file", "")
-                if file.is_file():
-                    parent.remove(include)
-                    parent.extend(_parsed(file))
+                place = list(parent).index(include)
+                file = _included(include.get("file", ""), path, main)
+                if not file.is_file():
+                    raise HandError(f"{path} includes {file}, which is missing")
+                parent[place : place + 1] = list(_parsed(file, main))
     return tree
+
+
+def _included(name: str, path: Path, main: Path) -> Path:
+    """Returns a file that `path` includes; as in MuJoCo, its name is first relative to the outermost file."""
+    file = resolve_reference(main, name)
+    return file if file.exists() else resolve_reference(path, name)
+
+
+def _merge_defaults(tree: ET.Element) -> None:
+    """Merges the top-level default classes, of which Drake 1.51 regards the last alone."""
+    defaults = tree.findall("default")
+    for default in defaults[1:]:
+        tree.remove(default)
+        for settings in default:
+            own = defaults[0].find(settings.tag)
+            if settings.tag == "default" or own is None:
+                defaults[0].append(settings)
+            else:
+                own.attrib |= settings.attrib
+
+
+def _remove_fixed_bodies(tree: ET.Element) -> None:
+    """Removes bodies beside the hand that cannot move, and what refers to them."""
+    gone: set[str] = set()
+    for world in tree.iter("worldbody"):
+        for body in world.findall("body"):
+            if not {part.tag for part in body.iter()} & {"joint", "freejoint"}:
+                world.remove(body)
+                gone |= {part.get("name", "") for part in body.iter("body")}
+    for section in (*tree.findall("contact"), *tree.findall("equality")):
+        for entry in list(section):
+            if gone & {entry.get("body1"), entry.get("body2")}:
+                section.remove(entry)
+
+
+def _separate_joints(tree: ET.Element) -> None:
+    """Gives each joint a body of its own.
+
+    Drake 1.51 puts all joints of a body but the last one at the origin of the body's parent.
+    """
+    parents = {child: parent for parent in tree.iter() for child in parent}
+    for body in [body for body in tree.iter("body") if len(body.findall("joint")) > 1]:
+        parent, name = parents[body], body.get("name", "body")
+        place = list(parent).index(body)
+        parent.remove(body)
+        pose = {key: body.attrib.pop(key) for key in _POSE if key in body.attrib}
+        if parent.get("name") and body.get("name"):  # MuJoCo ignores contacts of neighbouring bodies
+            contact = ET.SubElement(tree, "contact")
+            ET.SubElement(contact, "exclude", body1=parent.get("name", ""), body2=name)
+        for number, joint in enumerate(body.findall("joint")[:-1]):
+            body.remove(joint)
+            outer = ET.Element("body", {**body.attrib, **pose, "name": f"{name}_{number}"})
+            outer.append(joint)
+            parent.insert(place, outer)
+            parent, place, pose = outer, 1, {}
+        parent.append(body)
 
 
 def _inherit(inner: ET.Element, outer: ET.Element) -> None:
@@ -114,8 +185,8 @@ def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]
     """Returns the elements of a model that name a mesh file, with these files."""
     if tree.tag == "mujoco":
         folder = model.resolve().parent
-        for compiler in tree.iter("compiler"):
-            folder = folder / (compiler.get("meshdir") or compiler.get("assetdir") or "")
+        folders = [compiler.get("meshdir") or compiler.get("assetdir") for compiler in tree.iter("compiler")]
+        folder /= next(filter(None, reversed(folders)), "")  # the last one counts
         meshes = [(mesh, mesh.get("file")) for mesh in tree.iterfind(".//asset/mesh")]
         return [(mesh, (folder / name).resolve()) for mesh, name in meshes if name]
     named = [(mesh, mesh.get("filename")) for mesh in tree.iter("mesh")]
@@ -167,7 +238,7 @@ def model_files(
         shapes = [inspector.GetShape(id) for id in geometries]
     sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
     meshes = [Path(source.path()) for source in sources if source.is_path()]
-    return list(dict.fromkeys([model, *_included_files(model), *meshes]))
+    return list(dict.fromkeys([model, *_included_files(model, model), *meshes]))
 
 
 def digest_of_contents(files: Iterable[Path]) -> str:
@@ -176,17 +247,17 @@ def digest_of_contents(files: Iterable[Path]) -> str:
     return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
-def _included_files(model: Path) -> list[Path]:
-    """Finds the files that an SDF or MJCF file includes, recursively and in order."""
+def _included_files(model: Path, main: Path) -> list[Path]:
+    """Finds the files that an SDF or MJCF file includes, recursively, in order; `main` is the outermost."""
     text = model.read_text(encoding="utf-8", errors="replace")
     names = re.findall(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", text)
     names += re.findall(r"<include\b[^/]*?>.*?<uri>\s*(.*?)\s*</uri>", text, flags=re.DOTALL)
     found: list[Path] = []
     for name in names:
-        file = resolve_reference(model, name)
+        file = _included(name, model, main)
         file = file / "model.sdf" if file.is_dir() else file
         if file.is_file():
-            found += [file, *_included_files(file)]
+            found += [file, *_included_files(file, main)]
     return found
 
 
@@ -194,7 +265,7 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
     """Rejects values that Drake would replace silently or with a warning.
 
     Args:
-        files: files from `model_files`; only URDF, SDF, MJCF and OBJ files are checked.
+        files: files from `model_files`; only URDF, SDF and OBJ files are checked.
         source: beginning of error messages.
 
     Raises:
@@ -202,7 +273,7 @@ def check_model_values(files: Iterable[Path], source: str) -> None:
             is not finite.
     """
     for file in files:
-        if file.suffix.lower() in _MODEL_SUFFIXES:
+        if file.suffix.lower() in (".sdf", ".urdf"):
             for link in read_model(file).iter("link"):
                 _check_inertia(link, f"of link '{link.get('name', '')}' in {file.name}", source)
         elif file.suffix.lower() == ".obj" and (found := _BAD_VERTEX.search(file.read_bytes())):

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, listed
 from geort_drake.hands.description import CouplingDescription
 from geort_drake.hands.model_files import read_model
 
@@ -81,6 +81,7 @@ def tendon_couplings(tree: ET.Element) -> list[TendonCoupling]:
     A tendon couples its joints if an equality fixes its length, if its range leaves little play, or if a
     motor pulls it and none moves either joint. In the last case both joints are assumed to be equally stiff,
     so they turn in proportion to their coefficients. The joint without a motor follows, else the outer one.
+    Joints that an equality couples are left out.
 
     Raises:
         ValueError: a number is malformed.
@@ -92,12 +93,13 @@ def tendon_couplings(tree: ET.Element) -> list[TendonCoupling]:
         for equality in tree.iterfind(".//equality/tendon")
         if equality.get("tendon2") is None and equality.get("active") != "false"
     }
+    equal = _equal_joints(tree)
     order = [joint.get("name", "") for body in tree.iter("worldbody") for joint in body.iter("joint")]
     found: dict[str, TendonCoupling] = {}
     for tendon in tree.iterfind(".//tendon/fixed"):
         parts = {part.get("joint", ""): float(part.get("coef", 1.0)) for part in tendon.findall("joint")}
         parts = {joint: c for joint, c in parts.items() if joint in order and c != 0.0}
-        if len(parts) != 2 or len(tendon) != 2:
+        if len(parts) != 2 or len(tendon) != 2 or {*parts} in equal:
             continue
         leader, joint = sorted(parts, key=order.index)
         if leader not in driven and joint in driven:
@@ -116,7 +118,7 @@ def tendon_couplings(tree: ET.Element) -> list[TendonCoupling]:
 
 def coupling_notes(tree: ET.Element) -> list[str]:
     """Returns notes for the user on assumed couplings, and on ignored tendons and closed loops."""
-    known = tendon_couplings(tree)
+    known, equal = tendon_couplings(tree), _equal_joints(tree)
     notes = [
         f"one motor pulls '{c.follows}' and '{c.joint}'; assuming equal stiffness, '{c.joint}' follows by "
         f"{c.ratio:g}"
@@ -124,16 +126,24 @@ def coupling_notes(tree: ET.Element) -> list[str]:
     ]
     pulled = dict.fromkeys(motor.get("tendon", "") for motor in _motors(tree) if motor.get("tendon"))
     coupling = {tendon.tendon for tendon in known}
-    notes += [
-        f"tendon '{name}', which a motor pulls, is ignored: its joints move independently"
-        for name in pulled
-        if name not in coupling
-    ]
+    for tendon in tree.iterfind(".//tendon/fixed"):
+        if {joint.get("joint") for joint in tendon} in equal:
+            coupling.add(tendon.get("name", ""))
+    if ignored := [f"'{name}'" for name in pulled if name not in coupling]:
+        notes.append(
+            f"tendons that motors pull are ignored, their joints move independently: {listed(ignored)}"
+        )
     for equality in (*tree.iterfind(".//equality/connect"), *tree.iterfind(".//equality/weld")):
         ends = [equality.get(f"body{n}") or equality.get(f"site{n}") for n in (1, 2)]
         if all(ends):
             notes.append(f"the closed loop at '{ends[0]}' and '{ends[1]}' is ignored: a hand must be a tree")
     return notes
+
+
+def _equal_joints(tree: ET.Element) -> list[set[str | None]]:
+    """Returns the pairs of joints that an active equality couples."""
+    equalities = [joint for joint in tree.iterfind(".//equality/joint") if joint.get("active") != "false"]
+    return [{joint.get("joint1"), joint.get("joint2")} for joint in equalities]
 
 
 def _motors(tree: ET.Element) -> Iterator[ET.Element]:

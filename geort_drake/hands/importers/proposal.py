@@ -2,13 +2,13 @@
 
 import dataclasses as dc
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
 
+from geort_drake.errors import listed
 from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.couplings import position_limits
 from geort_drake.hands.description import (
@@ -87,7 +87,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
             guessed.setdefault(tip.source, []).append(f"{label} {1e3 * tip.radius:.1f} mm")
     notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
     for reason in dict.fromkeys(structure.held.values()):
-        joints = ", ".join(f"'{joint}'" for joint, why in structure.held.items() if why == reason)
+        joints = listed([f"'{joint}'" for joint, why in structure.held.items() if why == reason])
         notes.append(f"joints are held at their default positions, as each {reason}: {joints}")
     notes += coupling_notes(read_model(structure.path))
     palm_link = structure.palm[0]
@@ -124,12 +124,6 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     elif (start != hand.default_position).any():
         description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
     return Proposal(description, notes)
-
-
-def listed(names: Sequence[str], most: int = 8) -> str:
-    """Joins names by commas; of more than `most`, the last ones are counted."""
-    more = len(names) - most
-    return ", ".join(names if more <= 0 else [*names[:most], f"and {more} more"])
 
 
 def _overlaps(hand: HandModel) -> dict[tuple[str, str], float]:
