@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import re
 import signal
 import sys
 import threading
@@ -193,7 +194,9 @@ def _first_of_its_kind() -> Callable[[logging.LogRecord], bool]:
     seen: set[str] = set()
 
     def passes(record: logging.LogRecord) -> bool:
-        kind = record.getMessage()[:40]
+        record.msg = re.sub(r"^<literal-string>\S* ", "", record.getMessage())  # MJCF is parsed as a text
+        record.args = ()
+        kind = re.sub(r"^.*?warning: (geom \S+)?", "", record.msg)[:40]  # of any line or geometry
         new = record.levelno >= logging.WARNING and kind not in seen
         seen.add(kind)
         return new

@@ -67,7 +67,7 @@ def test_fingers_base_and_side_are_found(spec, tmp_path):
 
 @pytest.mark.parametrize(
     "names",
-    ["thumb index middle ring pinky", "rh_THJ5 rh_FFJ4 rh_MFJ4 rh_RFJ4 rh_LFJ4", "th_x if_x mf_x rf_x lf_x"],
+    ["thumb index medium ring pinky", "rh_THJ5 rh_FFJ4 rh_MFJ4 rh_RFJ4 rh_LFJ4", "th_x if_x mf_x rf_x lf_x"],
 )
 def test_fingers_are_known_by_usual_names(names):
     """Words, and two letters in either case; other words that contain these do not count."""
@@ -152,14 +152,6 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     assert load_hand(file).name == "hand"
 
 
-def _mirrored(description):
-    description.side = "left"
-
-
-def _far(description):
-    description.fingers[3].tip_point = [0.0, 0.0, -0.2]
-
-
 def _swapped(description):
     first, second = description.fingers[1:3]
     first.joints, second.joints = second.joints, first.joints
@@ -170,13 +162,14 @@ def _swapped(description):
 FAULTS = {
     "degrees": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="0.01"'}, None, "moves only from 0 to 1 deg"),
     "turn": ({r'("thumb_j1".*?)upper="1.5"': r'\1upper="90"'}, None, "more than a full turn"),
+    "unit": ({'"0 0 0.042"': '"0 0 42"'}, None, "index is 42 m long: is it a finger, and are model and"),
     "bare": ({"<(/?)collision>": r"<\1drawn>"}, None, "no collision geometry"),
     "massless": ({"<inertial>.*?</inertial>": ""}, None, "links without mass"),
     "palm": ({'"0.02 0.066 0.08"': '"0.02 0.066 0.16"'}, None, "touch in"),
-    "side": ({}, _mirrored, "the thumb lies on the little finger's side of a left hand"),
-    "tip": ({}, _far, "the tips of thumb and ring touch at 16 mm, but come no nearer than"),
+    "side": ({}, lambda d: setattr(d, "side", "left"), "on the little finger's side of a left hand"),
+    "tip": ({}, lambda d: setattr(d.fingers[3], "tip_point", [0, 0, -0.2]), "16 mm, but come no nearer than"),
     "order": ({}, _swapped, "the fingers index, middle, ring do not lie in this order"),
-    "none": ({}, None, ""),
+    "none": ({r'(<link name="index_l1">)<inertial>.*?</inertial>': r"\1"}, None, ""),
 }
 
 
@@ -203,6 +196,13 @@ def test_permanent_contacts_are_ignored(tmp_path):
     assert HandModel(description).collides(hand.default_position)
 
 
+def test_the_name_of_the_thumb_suffices(tmp_path):
+    """The other fingers are named by their positions."""
+    proposal = propose(write_hand(tmp_path, HandSpec(3), changes={"index": "one", "middle": "two"}))
+    assert proposal.description.finger_names == ["thumb", "index", "middle"]
+    assert "names identify only the thumb" in "\n".join(proposal.notes)
+
+
 def test_a_joint_that_moves_several_fingers_is_held(tmp_path):
     """A joint with followers in two fingers cannot belong to one; a note names it."""
     shared = {'<mimic joint="middle_j2"': '<mimic joint="index_j2"'}
@@ -220,8 +220,10 @@ def test_a_joint_that_moves_several_fingers_is_held(tmp_path):
         ("xml", {"0.8 0 0 0": "0.8 0.3 0 0"}, "by a polynomial"),
         ("urdf", {"revolute": "prismatic"}, "0 chains of movable revolute joints"),
         ("urdf", {"</robot>": ""}, "not XML"),
+        ("xml", {"<worldbody>": '<include file="gone.xml"/><worldbody>'}, "gone.xml, which is missing"),
+        ("xml", {"(</?)mujoco": r"\1mujocoinclude"}, "give the file that includes it"),
     ],
-    ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML"],
+    ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML", "no include", "part"],
 )
 def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path):
     model = write_hand(tmp_path, HandSpec(3, kind), changes=change)

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import logging
 import os
 import re
 import shlex
@@ -147,12 +148,14 @@ STOPPED_IMPORT.__cause__ = KeyboardInterrupt()
         (STOPPED_IMPORT, 130, "interrupted\n"),
     ],
 )
-def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, capsys):
-    """Nothing of the code they come from, and no markup is interpreted; exit codes tell them apart."""
+def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, capsys, caplog):
+    """Without the code they come from or markup; exit codes tell them apart. Of a kind, Drake warns once."""
 
     def main(_):
         warnings.simplefilter("always")
         warnings.warn("joint [0] has moved little", stacklevel=1)
+        for n in (1, 2):
+            logging.getLogger("drake").warning(f"<literal-string>.urdf:{n}: warning: geom g{n}: {error}")
         if error:
             raise error
 
@@ -161,7 +164,7 @@ def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, 
         run_main(main)
     assert stopped.value.code == code
     assert capsys.readouterr() == ("", f"warning: joint [0] has moved little\n{said}")
-    assert warnings.showwarning is shown
+    assert warnings.showwarning is shown and caplog.messages == [f"warning: geom g1: {error}"]
 
 
 def test_sigterm_interrupts_like_ctrl_c(monkeypatch, capsys):
@@ -271,12 +274,6 @@ def test_an_impossible_request_is_refused(refused, line):
     refused(line, *REFUSED[line])
 
 
-def test_a_backend_that_is_not_installed_is_refused(refused, monkeypatch):
-    """Before the benchmark's folder is made."""
-    monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
-    refused("benchmark --backend ray", "the backend 'ray' needs Ray: pip install 'geort-drake[ray]'")
-
-
 @pytest.mark.parametrize("command", READERS)
 def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, command):
     """Nothing is computed for an output that cannot be stored, nor for a cache."""
@@ -287,7 +284,9 @@ def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, comm
         comparison_train.cached_checkpoint("allegro_right", synthesize_play(0, 1.0))
 
 
-def test_a_full_disk_is_refused_before_the_training(refused, monkeypatch):
+def test_a_missing_backend_and_a_full_disk_are_refused_before_the_work(refused, monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
+    refused("benchmark --backend ray", "the backend 'ray' needs Ray: pip install 'geort-drake[ray]'")
     monkeypatch.setattr("os.posix_fallocate", Mock(side_effect=OSError(errno.ENOSPC, "No space left")))
     for line in ("pretrain --output map.safetensors", "train --output out"):
         refused(line, "cannot be written: No space left")

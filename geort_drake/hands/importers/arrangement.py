@@ -73,6 +73,12 @@ def arrange(
     named = fingers_by_name([finger.chain.names for finger in fingers])
     if named is not None and "thumb" in named:
         thumb = named.index("thumb")
+    elif (
+        len(thumbs := [n for n, f in enumerate(fingers) if fingers_by_name([f.chain.names]) == ["thumb"]])
+        == 1
+    ):
+        named, (thumb,) = None, thumbs
+        notes.append("names identify only the thumb; the other fingers are named by their positions")
     else:
         named = None
         thumb = thumb_by_position(p_base, directions, np.array([finger.length for finger in fingers]))

@@ -5,13 +5,16 @@ from collections import Counter
 
 import numpy as np
 from pydrake.geometry import Role
+from pydrake.multibody.tree import Joint
 from scipy.optimize import minimize
 
+from geort_drake.errors import listed
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 # Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
+_FINGER_LENGTHS = (0.01, 0.45)  # from the first joint to the tip, m
 # The fraction of its range that a joint should keep within the limits of its followers.
 _FREE_FRACTION = 0.75
 # Links that touch in a larger fraction of random postures hinder the hand.
@@ -26,7 +29,8 @@ _SHORT_LINK = 0.012
 
 def examine(hand: HandModel) -> list[str]:
     """Returns sentences that name the hand's faults, most important first."""
-    return [*_limits(hand), *_pinches(hand), *_orientation(hand), *_collisions(hand), *_masses(hand)]
+    checks = (_lengths, _limits, _pinches, _orientation, _collisions, _masses)
+    return [text for check in checks for text in check(hand)]
 
 
 def contact_fractions(hand: HandModel) -> dict[tuple[str, str], float]:
@@ -35,6 +39,17 @@ def contact_fractions(hand: HandModel) -> dict[tuple[str, str], float]:
     for q in hand.sample(_POSTURES):
         counts.update({(a, b) for _, a, b, tips in hand.penetrations(q) if not tips})
     return {pair: count / _POSTURES for pair, count in counts.items()}
+
+
+def _lengths(hand: HandModel) -> list[str]:
+    found, (low, high) = [], _FINGER_LENGTHS
+    for chain in hand.kinematics().fingers:
+        length = np.linalg.norm([*chain.X_PJ[1:, :3, 3], chain.p_tip], axis=1).sum()
+        if not low <= length <= high:
+            found.append(
+                f"{chain.name} is {length:.3g} m long: is it a finger, and are model and meshes in metres?"
+            )
+    return found
 
 
 def _limits(hand: HandModel) -> list[str]:
@@ -94,15 +109,15 @@ def _orientation(hand: HandModel) -> list[str]:
     sign = 1.0 if hand.description.side == "right" else -1.0
     names = hand.finger_names
     fingers = [number for number, name in enumerate(names) if name != "thumb"]
+    knuckles = np.array([sign * chain.X_PJ[0, 1, 3] for chain in hand.kinematics().fingers])
     if "thumb" in names and fingers:
         thumb = names.index("thumb")
-        y = sign * p_BF[..., 1].mean(axis=0)
+        y = 0.5 * (sign * p_BF[..., 1].mean(axis=0) + knuckles)
         if y[thumb] < y[fingers].min() - _ORDER_MARGIN:
             found.append(
                 f"the thumb lies on the little finger's side of a {hand.description.side} hand: side or "
                 "base_pose is wrong, or the fingers' names are"
             )
-    knuckles = [sign * chain.X_PJ[0, 1, 3] for chain in hand.kinematics().fingers]
     order = [knuckles[number] for number in fingers]
     if any(second > first + _ORDER_MARGIN for first, second in itertools.pairwise(order)):
         found.append(f"the fingers {', '.join(names[f] for f in fingers)} do not lie in this order")
@@ -126,13 +141,9 @@ def _collisions(hand: HandModel) -> list[str]:
     bare = [finger.tip_link for finger in hand.description.fingers if not geometries(finger.tip_link)]
     if bare:
         found.append(f"fingertips without collision geometry touch nothing: {', '.join(bare)}")
-    without = [
-        link
-        for link, length in _links(hand)
-        if length > _SHORT_LINK and link not in bare and not geometries(link)
-    ]
-    if without:
-        found.append(f"links of fingers without collision geometry: {', '.join(without)}")
+    long = [joint.child_body().name() for joint, length in _links(hand) if length > _SHORT_LINK]
+    if without := [link for link in long if link not in bare and not geometries(link)]:
+        found.append(f"links of fingers without collision geometry: {listed(without)}")
     for (a, b), share in sorted(contact_fractions(hand).items(), key=lambda item: -item[1]):
         if share >= FREQUENT_FRACTION:
             found.append(
@@ -146,15 +157,21 @@ def _collisions(hand: HandModel) -> list[str]:
 
 
 def _masses(hand: HandModel) -> list[str]:
-    light = [link for link, _ in _links(hand) if not hand.plant.GetBodyByName(link).default_mass() > 0]
-    return [f"links without mass cannot be simulated: {', '.join(light)}"] if light else []
+    plant, light = hand.plant, []
+    for joint, _ in _links(hand):
+        moved = map(plant.get_body, plant.GetBodiesKinematicallyAffectedBy([joint.index()]))
+        if not sum(body.default_mass() for body in moved) > 0:
+            light.append(joint.child_body().name())
+    found = [f"links without mass cannot be simulated: {listed(light)}"] if light else []
+    if loose := [plant.get_body(index).name() for index in plant.GetFloatingBaseBodies()]:
+        found.append(f"these parts fall freely, as nothing connects them to the palm: {listed(loose)}")
+    return found
 
 
-def _links(hand: HandModel) -> list[tuple[str, float]]:
-    """Returns the fingers' moving links and their lengths, m: from each joint to the next or the tip."""
-    links = []
+def _links(hand: HandModel) -> list[tuple[Joint, float]]:
+    """Returns the fingers' joints and the lengths of their links, m: from a joint to the next or the tip."""
+    joints: list[tuple[Joint, float]] = []
     for chain in hand.kinematics().fingers:
         lengths = np.linalg.norm([*chain.X_PJ[1:, :3, 3], chain.p_tip], axis=1)
-        for name, length in zip(chain.all_joint_names, lengths, strict=True):
-            links.append((hand.plant.GetJointByName(name).child_body().name(), float(length)))
-    return links
+        joints += zip(map(hand.plant.GetJointByName, chain.all_joint_names), lengths.tolist(), strict=True)
+    return joints

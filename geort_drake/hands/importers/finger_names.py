@@ -11,7 +11,7 @@ from geort_drake.people.keypoints import FINGER_NAMES
 _WORDS = {
     "thumb": r"thumb|pollex|(?<![a-z])th(?![a-z])|(?<![a-z])thj",
     "index": r"index|fore|point(?!_)|(?<![a-z])ff|(?<![a-z])if(?![a-z])",
-    "middle": r"middle|long|(?<![a-z])mf",
+    "middle": r"middle|medium|long|(?<![a-z])mf",
     "ring": r"(?<![a-z])ring|(?<![a-z])rf",
     "little": r"little|pinky|pinkie|small|(?<![a-z])lf",
 }
