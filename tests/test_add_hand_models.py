@@ -247,7 +247,7 @@ def test_mjcf_is_read_as_mujoco_reads_it(servo, tmp_path):
 
     Classes of several files are one; files name others relative to the first. All joints of a body turn about
     its origin; it does not touch its parent. A servo's force is limited by its range of force, not by that of
-    its input. The base may have a motor, a fixed body no mass; a frame is a body; a table is left out.
+    its input. The base may have a motor, a fixed body no mass; a frame is a body; surroundings are left out.
     """
     tag = servo.split()[0]
     (tmp_path / "classes.xml").write_text(
@@ -265,8 +265,8 @@ def test_mjcf_is_read_as_mujoco_reads_it(servo, tmp_path):
         f'{mass}<geom class="c"/><joint name="k"/><joint name="l" axis="0 0 1"/><frame pos="0 0 1">'
         f'<body name="tip" pos="1 2 2">{mass.replace("1", "0")}</body></frame></body>',
         '<compiler angle="radian"/><include file="parts/all.xml"/><default><joint range="-1 2"/></default>'
-        f'<actuator><{tag} joint="j" class="c"/></actuator><worldbody><body name="table"/></worldbody>'
-        '<contact><exclude body1="root" body2="table"/></contact>',
+        f'<actuator><{tag} joint="j" class="c"/></actuator><worldbody><geom size="9"/><body name="table"/>'
+        '</worldbody><contact><exclude body1="root" body2="table"/></contact>',
     )
     (tmp_path / "model.xml").write_bytes(ET.tostring(model))
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)

@@ -31,7 +31,7 @@ def read_model(path: Path) -> ET.Element:
     MJCF is returned with its includes, absolute mesh paths and complete default classes: Drake 1.51 inherits
     an element's settings only if the inner class has such an element itself. Otherwise joints, geoms and
     actuators lose their axes, limits, sizes and gains. Servos, frames and bodies with several joints are
-    returned as Drake reads them. Fixed bodies beside the hand, such as a table, are left out.
+    returned as Drake reads them. What is fixed beside the hand, such as a floor or a table, is left out.
 
     Raises:
         HandError: the file or an included one is missing, a Git LFS pointer or not XML; or it is only a part
@@ -56,7 +56,7 @@ def read_model(path: Path) -> ET.Element:
             frame.tag = "body"
             frame.set("name", frame.get("name") or f"frame_{number}")
         if tree.find("worldbody//joint") is not None:
-            _remove_fixed_bodies(tree)
+            _remove_surroundings(tree)
         _separate_joints(tree)
     return tree
 
@@ -104,14 +104,14 @@ def _merge_defaults(tree: ET.Element) -> None:
                 own.attrib |= settings.attrib
 
 
-def _remove_fixed_bodies(tree: ET.Element) -> None:
-    """Removes bodies beside the hand that cannot move, and what refers to them."""
+def _remove_surroundings(tree: ET.Element) -> None:
+    """Removes geoms and bodies beside the hand that cannot move, and what refers to these bodies."""
     gone: set[str] = set()
     for world in tree.iter("worldbody"):
-        for body in world.findall("body"):
-            if not {part.tag for part in body.iter()} & {"joint", "freejoint"}:
-                world.remove(body)
-                gone |= {part.get("name", "") for part in body.iter("body")}
+        for part in [*world.findall("geom"), *world.findall("body")]:
+            if not {inner.tag for inner in part.iter()} & {"joint", "freejoint"}:
+                world.remove(part)
+                gone |= {body.get("name", "") for body in part.iter("body")}
     for section in (*tree.findall("contact"), *tree.findall("equality")):
         for entry in list(section):
             if gone & {entry.get("body1"), entry.get("body2")}:
