@@ -48,8 +48,7 @@ def test_equal_simulations_give_equal_recordings(tmp_path):
         World(height=0.06).finalize().record(path, properties={"seed": 3}, until=0.2)
     compared = rerun("rrd", "compare", "--unordered", *paths)
     assert compared.returncode == 0, compared.stderr[-2000:]
-    ids = {RrdReader(path).recordings()[0].recording_id for path in paths}
-    assert len(ids) == 1
+    assert len({RrdReader(path).recordings()[0].recording_id for path in paths}) == 1
     other = tmp_path / "other" / "trial.rrd"
     World(height=0.07).finalize().record(other, properties={"seed": 3}, until=0.2)
     assert rerun("rrd", "compare", "--unordered", paths[0], other).returncode != 0
@@ -109,10 +108,9 @@ def test_an_interrupted_simulation_leaves_a_whole_file(tmp_path):
 def test_a_failure_while_writing_leaves_nothing(tmp_path, monkeypatch):
     """Half a file would look like a short simulation."""
     world = World().finalize().record(tmp_path / "half.rrd")
-    world.simulator.AdvanceTo(0.1)
     monkeypatch.setattr(RerunRecorder, "_write", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
-        world.recorder.close()
+    with pytest.raises(ZeroDivisionError), world.recorder:
+        world.simulator.AdvanceTo(0.1)
     assert list(tmp_path.iterdir()) == []
     monkeypatch.undo()
     world.recorder.close()

@@ -10,18 +10,21 @@ from geort_drake.resources import models_dir
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 
-def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark, monkeypatch):
+def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark, monkeypatch, capsys):
     """Each kind in its own folder; the summary has all, and a second run adds only what is missing."""
+    mine = tmp_path / "mine.py"  # a user's method, whose faults are reported
+    mine.write_text("def make(hand, n=[]):\n    return lambda p: n.append(p) or hand.lower[len(n) > 2 :]\n")
     monkeypatch.setattr(GraspPlanner, "plans", lambda _: [reach_goal()])
     plan_once(monkeypatch, "keys")
-    command = ["benchmark", "--kinds", "servo", "--methods", "hold", "--quiet"]
-    command += ["--scenario-text", TOO_SHORT, "--output", str(tmp_path)]
+    command = ["benchmark", "--kinds", "servo", "--quiet", "--scenario-text", TOO_SHORT]
+    command += ["--output", str(tmp_path), "--methods", "hold"]
     assert main([*command, "--trials", "1", "--tasks", "keys", "grasp", "--objects", "cylinder"]) == 0
     folder = tmp_path / "keys" / "servo"
     before = (folder / "trials.jsonl").read_text()
-    assert main([*command, "--trials", "2", "--tasks", "keys"]) == 0
+    assert main([*command, str(mine), "--trials", "2", "--tasks", "keys"]) == 0
+    assert "faulty outputs of mine.py in keys (servo)" in " ".join(capsys.readouterr().err.split())
     after = (folder / "trials.jsonl").read_text()
-    assert after.startswith(before) and len(after.splitlines()) == 2
+    assert after.startswith(before) and len(after.splitlines()) == 4
     tasks = json.loads((tmp_path / "summary.json").read_text())["tasks"]
     assert {task: list(kinds) for task, kinds in tasks.items()} == {"grasp": ["servo"], "keys": ["servo"]}
     figures = tasks["keys"]["servo"]["methods"]["hold"]
@@ -35,8 +38,7 @@ def test_the_benchmark_runs_several_tasks_and_goes_on(tmp_path, light_benchmark,
 def test_a_task_that_the_hand_cannot_do_is_left_out_with_its_reason(tmp_path, capsys):
     """Nothing is simulated, and the run ends well."""
     description = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text())
-    ring = description["fingers"].pop()
-    for joint in ring["joints"]:
+    for joint in description["fingers"].pop()["joints"]:
         del description["default_positions"][joint]
     hand = tmp_path / "three.yaml"
     hand.write_text(yaml.safe_dump(description))

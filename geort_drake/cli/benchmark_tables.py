@@ -29,9 +29,7 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     if summary["refused"]:
         warn(f"objects left out, because the hand cannot grasp them: {', '.join(summary['refused'])}")
     for name, entry in summary["methods"].items():
-        if faults := entry["overall"]["faults"]:
-            counted = ", ".join(f"{number} {kind}" for kind, number in faults.items())
-            warn(f"faulty outputs of {name}; the joints held, or stayed at their limits: {counted}")
+        _warn_of_faults(name, entry["overall"]["faults"])
     if errors:
         warn(f"trials that raised an error: {errors}; see {folder / 'errors'}")
     write_json(arguments.json, summary)
@@ -49,6 +47,7 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
             if figures["refused"]:
                 warn(f"{task}, left out, as the hand cannot do it: {', '.join(figures['refused'])}")
             for method, result in figures["methods"].items():
+                _warn_of_faults(f"{method} in {task} ({kind})", result["faults"])
                 score, share = result["score"], result["success"]
                 if share["trials"]:
                     bounds = "–" if score["low"] is None else f"{score['low']:.2f}–{score['high']:.2f}"
@@ -61,6 +60,15 @@ def report_tasks(arguments: argparse.Namespace, summary: dict) -> int:
     write_json(arguments.json, summary)
     finish({"Summary": f"{arguments.output / 'summary.json'}"})
     return 1 if summary["errors"] else 0
+
+
+def _warn_of_faults(name: str, faults: dict) -> None:
+    """Warns if a method's outputs were faulty; `faults` maps kinds of faults to numbers of outputs."""
+    from geort_drake.console import warn
+
+    if faults:
+        counted = ", ".join(f"{number} {kind}" for kind, number in faults.items())
+        warn(f"faulty outputs of {name}; the joints held, or stayed at their limits: {counted}")
 
 
 def _rows(summary: dict) -> Iterator[list[str]]:

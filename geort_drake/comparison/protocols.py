@@ -103,6 +103,7 @@ def other_person(recording: Recording, others: Mapping[str, Recording]) -> Proto
     return Protocol(
         OTHER_PERSON,
         "another person",
-        "trained on one person's recording, scored on another's without any calibration",
+        "trained on one person's recording, scored on another's; only a universal map adapts, to the "
+        "first second",
         tuple(Case(name, recording, other) for name, other in others.items()),
     )
