@@ -164,8 +164,7 @@ def npy(tmp_path_factory):
 
 def test_synthesizing_writes_the_recording_of_that_seed(npy, tmp_path):
     """The file equals synthesize_play with the same arguments; with --hand-of it has that person's bones."""
-    arguments = ["--seed", "3", "--duration", "12", "--rate", "60"]
-    run_command("synthesize", [str(tmp_path / "play.npz"), *arguments])
+    run_command("synthesize", [str(tmp_path / "play.npz"), "--seed", "3", "--duration", "12", "--rate", "60"])
     assert Recording.load(tmp_path / "play.npz").digest == synthesize_play(3, 12.0, 60.0).digest
     run_command("synthesize", [str(tmp_path / "p.npz"), "--duration", "5", "--hand-of", str(npy)])
     bones = np.linalg.norm(np.diff(Recording.load(tmp_path / "p.npz").p_HK[:, 5:9], axis=1), axis=-1)
@@ -196,9 +195,8 @@ def test_people_are_written(tmp_path, capsys):
 def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, capsys):
     """The file equals what the reader gives; the report has rate, fingers, verdict and what is next."""
     run_command("convert", [str(npy), str(tmp_path / "hand.npz")])
-    saved = Recording.load(tmp_path / "hand.npz")
-    assert saved.digest == read_recording(npy).digest
-    assert saved.metadata["warnings"] == read_recording(npy).metadata["warnings"]
+    saved, read = Recording.load(tmp_path / "hand.npz"), read_recording(npy)
+    assert saved.digest == read.digest and saved.metadata["warnings"] == read.metadata["warnings"]
     said = " ".join(capsys.readouterr().err.split())
     for part in ("450 valid", "15.0 s at 30.0 Hz (assumed)", "thumb never comes within 15 mm", "next: "):
         assert part in said
@@ -224,7 +222,9 @@ def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, cap
 def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     """One object on stdout: verdict, findings with place and advice, figures; also of what is refused."""
     run_command("check-recording", [str(npy), "--json", "--rate", "60"])
-    report = json.loads(capsys.readouterr().out)
+    said = capsys.readouterr()  # other commands have no --rate, so the next one is convert
+    assert f"convert {npy} {npy.with_name('hand_converted.npz')} --rate 60.0" in " ".join(said.err.split())
+    report = json.loads(said.out)
     assert report["fit_for_training"] is True
     known = {"format": "geort", "side": "right", "frames": 450, "wrist": "none", "rate_known": True}
     assert known.items() <= report.items()

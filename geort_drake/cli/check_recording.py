@@ -70,11 +70,24 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None:
         with_warnings(recording, findings).save(arguments.output)
         written["Recording"] = arguments.output
-    if result["fit_for_training"] and (arguments.output or not arguments.mirror):
+    if result["fit_for_training"]:
         hand = None if recording.side == "right" else "allegro_left"
         following = command("grasp", "--recording", arguments.output or arguments.input, "--hand", hand)
+        if arguments.output is None and (options := _options_of_convert(arguments)):
+            converted = arguments.input.with_name(f"{arguments.input.stem}_converted.npz")
+            following = command("convert", arguments.input, converted, *options)
     finish(written, following)
     return 0
+
+
+def _options_of_convert(arguments: argparse.Namespace) -> list[str]:
+    """Returns the given options that only `convert` shares; empty if other commands read the file alike."""
+    given = {"--format": arguments.format, "--unit": arguments.unit, "--rate": arguments.rate}
+    words = [
+        word for name, value in given.items() if value not in (None, "auto") for word in (name, str(value))
+    ]
+    words += ["--mirror"] if arguments.mirror else []
+    return [*words, "--side", "left"] if words and arguments.side == "left" else words
 
 
 def _read(arguments: argparse.Namespace, findings: "list[Finding]") -> "Recording":
