@@ -196,19 +196,14 @@ def test_permanent_contacts_are_ignored(tmp_path):
     assert HandModel(description).collides(hand.default_position)
 
 
-def test_the_name_of_the_thumb_suffices(tmp_path):
-    """The other fingers are named by their positions."""
-    proposal = propose(write_hand(tmp_path, HandSpec(3), changes={"index": "one", "middle": "two"}))
-    assert proposal.description.finger_names == ["thumb", "index", "middle"]
-    assert "names identify only the thumb" in "\n".join(proposal.notes)
-
-
-def test_a_joint_that_moves_several_fingers_is_held(tmp_path):
-    """A joint with followers in two fingers cannot belong to one; a note names it."""
-    shared = {'<mimic joint="middle_j2"': '<mimic joint="index_j2"'}
-    proposal = propose(write_hand(tmp_path, HandSpec(4), changes=shared))
-    assert "index_j2" not in proposal.description.joint_names
-    assert "each moves 2 fingers at once: 'index_j2'" in "\n".join(proposal.notes)
+def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices(tmp_path):
+    """A joint with followers in two fingers cannot belong to one; a note names it. Others need no names."""
+    changes = {'<mimic joint="middle_j2"': '<mimic joint="index_j2"', "index": "one", "middle": "two"}
+    proposal = propose(write_hand(tmp_path, HandSpec(4), changes=changes))
+    assert proposal.description.finger_names == ["thumb", "index", "middle", "ring"]
+    assert "one_j2" not in proposal.description.joint_names
+    notes = "\n".join(proposal.notes)
+    assert "each moves 2 fingers at once: 'one_j2'" in notes and "names identify only the thumb" in notes
     HandModel(proposal.description).kinematics()
 
 
@@ -220,10 +215,11 @@ def test_a_joint_that_moves_several_fingers_is_held(tmp_path):
         ("xml", {"0.8 0 0 0": "0.8 0.3 0 0"}, "by a polynomial"),
         ("urdf", {"revolute": "prismatic"}, "0 chains of movable revolute joints"),
         ("urdf", {"</robot>": ""}, "not XML"),
+        ("urdf", {"(?s)<link.*</joint>": ""}, "no links"),
         ("xml", {"<worldbody>": '<include file="gone.xml"/><worldbody>'}, "gone.xml, which is missing"),
         ("xml", {"(</?)mujoco": r"\1mujocoinclude"}, "give the file that includes it"),
     ],
-    ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML", "no include", "part"],
+    ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML", "empty", "no include", "part"],
 )
 def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path):
     model = write_hand(tmp_path, HandSpec(3, kind), changes=change)

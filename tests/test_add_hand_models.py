@@ -78,8 +78,10 @@ def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
 
 
 def test_the_command_describes_a_copy(tmp_path):
-    """With --hulls; the model itself does not change, nor a folder of another kind in the copy's place."""
+    """With --hulls, telling materials of one name apart; model and folders of another kind do not change."""
     model = drawn_alone(tmp_path, "urdf")
+    colours = (f'<material name="m"><color rgba="0 0 0.{n} 1"/></material></visual>' for n in range(99))
+    model.write_text(re.sub("</visual>", lambda _: next(colours), model.read_text()))
     before = model.read_bytes()
     output = tmp_path / "described" / "hand.yaml"
     output.parent.mkdir()
@@ -417,7 +419,7 @@ def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
 
 
 def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
-    """Each with a root, followers and motors of its own; the other hand's joints are held."""
+    """Each with a root, followers and motors of its own; the other one's joints are held, its parts loose."""
     parts = {"worldbody": "", "equality": "", "actuator": ""}
     for side, fingers in (("left", 4), ("right", 3)):
         text = write_hand(tmp_path, HandSpec(fingers, "xml", side=side), side).read_text(encoding="utf-8")
@@ -427,6 +429,8 @@ def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
     inside = "".join(f"<{part}>{text}</{part}>" for part, text in parts.items())
     model = tmp_path / "both.xml"
     model.write_text(f'<mujoco model="both"><compiler angle="radian"/>{inside}</mujoco>', encoding="utf-8")
+    with pytest.raises(HandError, match=r"more than one hand: .* 'left_palm', 'right_palm'; give the palm"):
+        propose(model)
     for side, fingers in (("left", 4), ("right", 3)):
         description = propose(model, palm=f"{side}_palm").description
         assert (description.side, len(description.fingers)) == (side, fingers)

@@ -144,15 +144,15 @@ def _collisions(hand: HandModel) -> list[str]:
     long = [joint.child_body().name() for joint, length in _links(hand) if length > _SHORT_LINK]
     if without := [link for link in long if link not in bare and not geometries(link)]:
         found.append(f"links of fingers without collision geometry: {listed(without)}")
-    for (a, b), share in sorted(contact_fractions(hand).items(), key=lambda item: -item[1]):
-        if share >= FREQUENT_FRACTION:
-            found.append(
-                f"'{a}' and '{b}' touch in {share:.0%} of postures: correct their shapes, or list the pair "
-                "in ignored_collisions"
-            )
+    shares = sorted(contact_fractions(hand).items(), key=lambda item: -item[1])
+    if often := [f"'{a}' and '{b}' in {share:.0%}" for (a, b), share in shares if share >= FREQUENT_FRACTION]:
+        found.append(
+            f"links touch in many postures, {listed(often)}: correct their shapes, or list the pairs in "
+            "ignored_collisions"
+        )
     if hand.collides(hand.default_position):
         pairs = {f"'{a}' and '{b}'" for _, a, b, _ in hand.penetrations(hand.default_position)}
-        found.append(f"the hand starts in self-collision: {', '.join(sorted(pairs))}; see default_positions")
+        found.append(f"the hand starts in self-collision: {listed(sorted(pairs))}; see default_positions")
     return found
 
 

@@ -78,6 +78,11 @@ def _text_of(tree: ET.Element, model: Path, folder: Path, hulls: Mapping[Path, P
     """Returns a model's XML for a file in `folder`, with `hulls` and other meshes named relative to it."""
     for element, mesh in mesh_elements(model, tree):
         set_mesh(element, Path(os.path.relpath(hulls.get(mesh, mesh), folder.resolve())))
+    colours: dict[str, dict[str, str]] = {}
+    for number, material in enumerate(tree.iterfind(".//visual/material")):  # of URDF
+        name, colour = material.get("name", ""), material.find("color")
+        if colour is not None and colours.setdefault(name, colour.attrib) != colour.attrib:
+            material.set("name", f"{name}_{number}")  # Drake refuses two materials of one name
     for compiler in tree.iter("compiler"):  # of MJCF
         compiler.attrib.pop("meshdir", None)
         compiler.attrib.pop("assetdir", None)

@@ -94,7 +94,7 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     detach_from_world(plant, hand)
     all_joints = map(plant.get_joint, plant.GetJointIndices(hand))
     joints = {joint.name(): joint for joint in all_joints if joint.num_positions()}
-    root, groups = _groups(plant, hand, palm)
+    root, groups = _groups(plant, hand, palm, source)
     plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.Finalize()
     carrier = _palm(groups, palm)
@@ -134,7 +134,7 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
 
 
 def _groups(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, palm: str | None
+    plant: MultibodyPlant, hand: ModelInstanceIndex, palm: str | None, source: str
 ) -> tuple[RigidBody, dict[Group, list[RigidBody]]]:
     """Returns the palm's root link, and all groups of links that it carries, nearest first."""
     by_root: dict[BodyIndex, dict[Group, list[RigidBody]]] = {}
@@ -149,7 +149,12 @@ def _groups(
         names = {body.name() for links in by_root[root].values() for body in links}
         return palm in names, len(by_root[root])
 
-    # Anything else in the file, such as a floor, has fewer joints than the hand.
+    if not by_root:
+        raise HandError(f"{source}: the model has no links")
+    hands = [g for g in by_root.values() if max(_outgoing_joints(g).values(), default=0) >= _MIN_PALM_CHAINS]
+    if palm is None and len(hands) > 1:
+        raise _several_hands(source, [f"'{groups[_palm(groups, None)][0].name()}'" for groups in hands])
+    # Anything else in the file, such as an object, has fewer joints than the hand.
     root = max(by_root, key=rank)
     groups = by_root[root]
     return plant.get_body(root), dict(sorted(groups.items(), key=lambda item: len(item[0])))
@@ -188,8 +193,12 @@ def _require_one_hand(
         starting = [joints[other[-1]] for other in groups if other and other[:-1] == group]
         parents = [joint.parent_body().name() for joint in starting]
         choices.append(f"'{max(parents, key=parents.count)}'")
-    raise HandError(
-        f"{source}: more than one hand: several chains of joints start at each of {', '.join(choices)}; "
+    raise _several_hands(source, choices)
+
+
+def _several_hands(source: str, palms: list[str]) -> HandError:
+    return HandError(
+        f"{source}: more than one hand: several chains of joints start at each of {', '.join(palms)}; "
         "give the palm as --palm, or put the hand into a file of its own"
     )
 
