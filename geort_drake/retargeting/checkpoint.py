@@ -81,7 +81,8 @@ class Checkpoint:
             if expected != given:
                 raise CheckpointError(
                     f"{self.path}: the checkpoint is for another hand, '{self.hand['name']}': {what} "
-                    f"{_listed(given)}, expected {_listed(expected)}; train one for this hand"
+                    f"{_listed(given)}, expected {_listed(expected)}; choose "
+                    "that hand with --hand, or train one for this hand"
                 )
 
 

@@ -11,7 +11,12 @@ class BadFrame(Exception):
 
 
 class Table(NamedTuple):
-    """A CSV file: the names of its columns, and rows of strings."""
+    """A CSV file.
+
+    Attributes:
+        header: names of the columns.
+        rows: strings of each row.
+    """
 
     header: list[str]
     rows: list[list[str]]
