@@ -47,8 +47,8 @@ def read_recording(
             the file states, if any.
         training: also requires 300 valid frames and at least one pinch.
         format: a name of `FORMATS`; "auto" detects it from the contents.
-        unit: unit of lengths in the file, one of `UNITS_M`; by default the format's.
-        rate_hz: frames per second of a file without timestamps; by default `ASSUMED_RATE_HZ`.
+        unit: unit of lengths in the file, "m", "cm", "mm" or "inch"; by default the format's.
+        rate_hz: frames per second of a file without timestamps; by default 30.
 
     Returns:
         The recording. Unusable frames are invalid; `metadata["warnings"]` lists faults and repairs.

@@ -75,6 +75,8 @@ def make_trial_diagram(
         scenario: what to simulate.
         retarget: a `Retargeter`, or a similar callable with `joint_names`.
         human: a hand and a goal for the simulated operator, or a glove recording with wrist poses to replay.
+            `geort_drake.simulation.tasks.find_task(scenario.task).plans(scenario, load_hand(scenario.hand))`
+            returns goals, best first.
         rerun_path: file of the Rerun recording; None for none.
         properties: properties of the Rerun recording.
         model: model of the scenario's robot; None builds it, in 0.15 s.
