@@ -52,7 +52,7 @@ def names_of(methods: Sequence[str], trainings: int = 1, hand: HandModel | None 
         name, method = (given, given) if is_method else (path.name, str(path))
         if names.setdefault(name, method) != method:
             raise BenchmarkError(
-                f"two methods have the name '{name}': {names[name]} and {method}; rename one directory"
+                f"two methods have the name '{name}': {names[name]} and {method}; rename one"
             )
         if method in trained_methods():
             names |= {f"{name}~{number}": method for number in range(1, trainings)}
