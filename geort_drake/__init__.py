@@ -21,7 +21,7 @@ Systems for Drake diagrams:
     ActionCorrection: corrects the hand's targets, by a guard or a policy.
 Rerun:
     add_rerun_recorder: records any diagram with a plant and scene graph.
-    SignalSpec, StateSpec: vector or text ports to record as plots or lanes.
+    SignalSpec, StateSpec: vector ports to record as plots, or as lanes of named states.
     HandSpec, PointsSpec, ContactSpec, CameraSpec, CloseUpSpec: hands, points, contacts and views to record.
 Simulation:
     load_scenario: loads a grasp scenario from YAML.

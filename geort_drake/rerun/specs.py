@@ -22,6 +22,9 @@ Derive = Callable[[np.ndarray], np.ndarray]
 class Spec:
     """A kind of recorded data; `key` is its entity path.
 
+    The file's layout has views for the kinds of this package and their subclasses, such as a `StateSpec` that
+    reads an abstract port; other data are only in the file.
+
     Attributes:
         period: shortest time between two rows, s.
     """
