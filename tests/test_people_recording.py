@@ -23,10 +23,8 @@ def recorded(frames=400) -> Recording:
 
 def test_a_recording_survives_saving_and_loading(tmp_path):
     """All arrays, the metadata and the digest are the same after a round trip through the file."""
-    recording = recorded()
-    pose = np.tile([1.0, 0, 0, 0, 0.1, 0.2, 0.3], (len(recording), 1))
     metadata = {"side": "left", "subject": "ä", "warnings": ["w"]}
-    recording = dc.replace(recording, X_WH=pose, metadata=metadata)
+    recording = dc.replace(recorded(), X_WH=np.arange(2800.0).reshape(400, 7), metadata=metadata)
     recording.save(tmp_path / "r.npz")
     loaded = Recording.load(tmp_path / "r.npz")
     for name in ("t", "p_HK", "valid", "X_WH"):
@@ -70,6 +68,8 @@ def test_arrays_of_the_wrong_shape_or_type_are_refused(field):
     for value in (np.zeros((400, 20, 2)), np.full((400, 21, 3), "a")):
         with pytest.raises(RecordingError, match=rf"{field} must be numbers of shape .*, not .* \(400, 2"):
             dc.replace(recorded(), **{field: value})
+    with pytest.raises(RecordingError, match="one of: left, right"):
+        dc.replace(recorded(), metadata={"side": "Left"})
 
 
 @pytest.mark.parametrize(

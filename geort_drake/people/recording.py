@@ -46,6 +46,9 @@ class Recording:
         metadata: side, source and other facts stated by the source; JSON types only.
         robot: (T, n) float32 commanded and measured positions of the joints of a real robot, rad, with their
             names in metadata["robot_signals"], such as "arm.measured.panda_joint1"; or None.
+
+    Raises:
+        RecordingError: an array has another shape or type, or the side is neither "left" nor "right".
     """
 
     t: np.ndarray
@@ -56,6 +59,8 @@ class Recording:
     robot: np.ndarray | None = None
 
     def __post_init__(self) -> None:
+        if self.side not in SIDES:
+            raise RecordingError(f"recording: metadata must name a side, one of: {', '.join(SIDES)}")
         frames = np.size(self.t) if np.ndim(self.t) == 1 else -1
         # These are the types in the file, so the digest survives a round trip.
         fields: dict[str, tuple[type, tuple[int, ...]]] = {
