@@ -155,7 +155,7 @@ def test_errors_and_warnings_are_printed_as_their_text_alone(error, code, said, 
         warnings.simplefilter("always")
         warnings.warn("joint [0] has moved little", stacklevel=1)
         for n in (1, 2):
-            logging.getLogger("drake").warning(f"<literal-string>.urdf:{n}: warning: geom g{n}: {error}")
+            logging.getLogger("drake").error(f"<literal-string>.urdf:{n}: warning: geom g{n}: {error}")
         if error:
             raise error
 
