@@ -216,10 +216,10 @@ def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices
         ("urdf", {"revolute": "prismatic"}, "0 chains of movable revolute joints"),
         ("urdf", {"</robot>": ""}, "not XML"),
         ("urdf", {"(?s)<link.*</joint>": ""}, "no links"),
+        ("urdf", {"</robot>": '<finger xmlns="xacro"/></robot>'}, "expand them first"),
         ("xml", {"<worldbody>": '<include file="gone.xml"/><worldbody>'}, "gone.xml, which is missing"),
         ("xml", {"(</?)mujoco": r"\1mujocoinclude"}, "give the file that includes it"),
     ],
-    ids=["unknown leader", "no number", "polynomial", "prismatic", "no XML", "empty", "no include", "part"],
 )
 def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path):
     model = write_hand(tmp_path, HandSpec(3, kind), changes=change)

@@ -74,6 +74,8 @@ def _parsed(path: Path, main: Path) -> ET.Element:
         tree = ET.fromstring(text)
     except ET.ParseError as error:
         raise HandError(f"{path}: not XML: {error}; expected a URDF, SDF or MJCF file") from error
+    if any("xacro" in element.tag for element in tree.iter()):
+        raise HandError(f"{path} contains macros; expand them first: xacro {path.name} > hand.urdf")
     if tree.tag.startswith("mujoco"):
         for parent in list(tree.iter()):
             for include in parent.findall("include"):
