@@ -34,8 +34,8 @@ def read_model(path: Path) -> ET.Element:
     returned as Drake reads them. What is fixed beside the hand, such as a floor or a table, is left out.
 
     Raises:
-        HandError: the file or an included one is missing, a Git LFS pointer or not XML; or it is only a part
-            of an MJCF model.
+        HandError: the file or an included one is missing, a Git LFS pointer or not XML; or it has macros, or
+            is only a part of an MJCF model.
     """
     tree = _parsed(path, path)
     if tree.tag == "mujocoinclude":
