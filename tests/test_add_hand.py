@@ -166,8 +166,8 @@ FAULTS = {
     "bare": ({"<(/?)collision>": r"<\1drawn>"}, None, "no collision geometry"),
     "massless": ({"<inertial>.*?</inertial>": ""}, None, "links without mass"),
     "palm": ({'"0.02 0.066 0.08"': '"0.02 0.066 0.16"'}, None, "touch in"),
-    "side": ({}, lambda d: setattr(d, "side", "left"), "on the little finger's side of a left hand"),
-    "tip": ({}, lambda d: setattr(d.fingers[3], "tip_point", [0, 0, -0.2]), "16 mm, but come no nearer than"),
+    "side": ({}, lambda d: setattr(d, "side", "left"), "thumb lies on the little finger's side of a left"),
+    "tip": ({}, lambda d: setattr(d.fingers[3], "tip_point", [0, 0, -0.2]), "thumb and ring touch at 16 mm"),
     "order": ({}, _swapped, "the fingers index, middle, ring do not lie in this order"),
     "none": ({r'(<link name="index_l1">)<inertial>.*?</inertial>': r"\1"}, None, ""),
 }

@@ -101,16 +101,16 @@ def test_an_interrupted_simulation_leaves_a_whole_file(tmp_path):
         assert not world.recorder.path.exists()
         world.simulator.AdvanceTo(1.0)
     assert rerun("rrd", "verify", world.recorder.path).returncode == 0
-    times, _ = read(world.recorder.path, "/world/ball/body", "Transform3D:translation")
-    assert times[-1] == pytest.approx(0.1)
+    assert abs(read(world.recorder.path, "/world/ball/body", "Transform3D:translation")[0][-1] - 0.1) < 1e-7
 
 
 def test_a_failure_while_writing_leaves_nothing(tmp_path, monkeypatch):
     """Half a file would look like a short simulation."""
     world = World().finalize().record(tmp_path / "half.rrd")
     monkeypatch.setattr(RerunRecorder, "_write", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError), world.recorder:
-        world.simulator.AdvanceTo(0.1)
+    world.simulator.AdvanceTo(0.1)
+    with pytest.raises(ZeroDivisionError):
+        world.recorder.close()
     assert list(tmp_path.iterdir()) == []
     monkeypatch.undo()
     world.recorder.close()
