@@ -71,13 +71,11 @@ def arrange(
     p_base = np.array([finger.p_base for finger in fingers])
     directions = np.array([finger.direction for finger in fingers])
     named = fingers_by_name([finger.chain.names for finger in fingers])
+    called_thumb = [fingers_by_name([finger.chain.names]) == ["thumb"] for finger in fingers]
     if named is not None and "thumb" in named:
         thumb = named.index("thumb")
-    elif (
-        len(thumbs := [n for n, f in enumerate(fingers) if fingers_by_name([f.chain.names]) == ["thumb"]])
-        == 1
-    ):
-        named, (thumb,) = None, thumbs
+    elif called_thumb.count(True) == 1:
+        named, thumb = None, called_thumb.index(True)
         notes.append("names identify only the thumb; the other fingers are named by their positions")
     else:
         named = None

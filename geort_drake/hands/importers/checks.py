@@ -44,7 +44,7 @@ def contact_fractions(hand: HandModel) -> dict[tuple[str, str], float]:
 def _lengths(hand: HandModel) -> list[str]:
     found, (low, high) = [], _FINGER_LENGTHS
     for chain in hand.kinematics().fingers:
-        length = np.linalg.norm([*chain.X_PJ[1:, :3, 3], chain.p_tip], axis=1).sum()
+        length = _link_lengths(chain.X_PJ, chain.p_tip).sum()
         if not low <= length <= high:
             found.append(
                 f"{chain.name} is {length:.3g} m long: is it a finger, and are model and meshes in metres?"
@@ -172,6 +172,11 @@ def _links(hand: HandModel) -> list[tuple[Joint, float]]:
     """Returns the fingers' joints and the lengths of their links, m: from a joint to the next or the tip."""
     joints: list[tuple[Joint, float]] = []
     for chain in hand.kinematics().fingers:
-        lengths = np.linalg.norm([*chain.X_PJ[1:, :3, 3], chain.p_tip], axis=1)
-        joints += zip(map(hand.plant.GetJointByName, chain.all_joint_names), lengths.tolist(), strict=True)
+        lengths = _link_lengths(chain.X_PJ, chain.p_tip).tolist()
+        joints += zip(map(hand.plant.GetJointByName, chain.all_joint_names), lengths, strict=True)
     return joints
+
+
+def _link_lengths(X_PJ: np.ndarray, p_tip: np.ndarray) -> np.ndarray:
+    """Returns the distances (n,) from each of a finger's n joints to the next or the tip, m."""
+    return np.linalg.norm([*X_PJ[1:, :3, 3], p_tip], axis=1)
