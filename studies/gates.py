@@ -57,6 +57,7 @@ WORSENED = {
     "trigger": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
     "grasp": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
     "pick_place": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
+    "peg": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
     "cap": Worsening(
         TURNED, (0.0, 20.0, 40.0, 60.0), "a turned stroke leaves the circle around the cap, and slides"
     ),

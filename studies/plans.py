@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
@@ -140,16 +140,16 @@ def script(
     oracle: Oracle,
     goal: GraspGoal,
     squeeze: float = DEPTH,
-    place: tuple[np.ndarray, float, float] | None = None,
+    place: tuple[RigidTransform, float] | None = None,
 ) -> Recording:
     """Returns the oracle's motion for the object as the scenario's seed places it.
 
     Args:
         squeeze: depth of the squeeze, m.
-        place: where to bring the object after the lift: p_WP, m; angle by which to turn it about the
-            vertical, rad; and height above P from which to lower it, m.
+        place: pose X_WP to which to bring the frame O of the goal after the lift, and the height above it
+            from which to lower it, m.
     """
-    X_WO = goal.object_frame(_object_pose(scenario))
+    X_WO = goal.object_frame(object_pose(scenario))
     X_start = _start_pose(scenario, oracle)
     X_before, X_WB = X_WO @ goal.X_OB_before, X_WO @ goal.X_OB
     X_BO = goal.X_OB.inverse()
@@ -164,8 +164,7 @@ def script(
     ]
     end, opening = squeezed + LIFTING + HOLDING, np.inf
     if place is not None:
-        p_WP, turn, hover = place
-        X_WP = RigidTransform(RotationMatrix.MakeZRotation(turn) @ X_WO.rotation(), p_WP)
+        X_WP, hover = place
         X_above = RigidTransform([0, 0, hover]) @ X_WP
         opening = squeezed + LIFTING + 2 * CARRYING
         movements += [
@@ -187,7 +186,7 @@ def script(
     return Recording(t, keypoints, np.full(len(t), True), np.array(poses), {"side": oracle.description.side})
 
 
-def _object_pose(scenario: Scenario) -> RigidTransform:
+def object_pose(scenario: Scenario) -> RigidTransform:
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     body = add_object(plant, scenario.object.name)

@@ -24,13 +24,13 @@ from geort_drake.simulation.tasks.cap.planner import RADIUS as CAP_RADIUS
 from geort_drake.simulation.tasks.cap.task import CapOutcome
 from geort_drake.simulation.tasks.keys.planner import HOVER, PITCH, TRAVEL
 from geort_drake.simulation.tasks.keys.task import KeysMonitor, KeysOutcome, KeysSettings
-from geort_drake.simulation.tasks.pick_place.task import TransferMonitor
 from geort_drake.simulation.tasks.tracking.planner import RADIUS as PUCK
 from geort_drake.simulation.tasks.tracking.planner import TrackingPlanner, targets
 from geort_drake.simulation.tasks.tracking.task import TrackingMonitor, TrackingOutcome, TrackingSettings
 from geort_drake.simulation.tasks.trigger.planner import HOVER as HANDLE_HOVER
 from geort_drake.simulation.tasks.trigger.planner import RADIUS as HANDLE_RADIUS
 from geort_drake.simulation.tasks.trigger.task import TriggerMonitor, TriggerOutcome, TriggerSettings
+from geort_drake.simulation.transfer_task import TransferMonitor
 from geort_drake.systems.port_values import pose_to_vector
 
 
@@ -278,8 +278,9 @@ CARRY = [*LIFT, (0.15, 0.1, 0.0, 1.0)]
 )
 def test_blocks_are_graded_by_the_steps_reached_in_order(path, reached):
     """An object on lines between (y, z, yaw, force of two fingers), one a second."""
-    height = next(iter(find_task("pick_place").heights.values()))
-    monitor = TransferMonitor(2, X_WP, lambda X: X.translation()[2] - height / 2, 0.0)
+    task = find_task("pick_place")
+    height = next(iter(task.heights.values()))
+    monitor = TransferMonitor(2, task.steps, X_WP, lambda X: X.translation()[2] - height / 2)
     poses = [[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2), 0.5, y, z + height / 2] for y, z, yaw, _ in path]
     t, force = np.arange(len(path), dtype=float), np.array(path)[:, [3, 3]]
     outcome = outcome_of(monitor, t[-1], object_pose=(t, poses), contact=(t, force))

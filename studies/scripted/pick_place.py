@@ -3,15 +3,15 @@
 import functools
 
 import numpy as np
-from plans import DAMPING, HOLDING, LARGEST_STEP, Oracle, script
+from plans import DAMPING, HOLDING, LARGEST_STEP, Oracle, object_pose, script
+from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
-from geort_drake.simulation.operators.placing import HOVER
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.pick_place.task import PickPlaceTask
+from geort_drake.simulation.transfer_task import TransferTask
 from geort_drake.simulation.trial import run_trial
 
 PULL = 0.1  # fraction of the distance to the middle of the joint ranges per iteration
@@ -28,7 +28,7 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     A first run ends with the lift and gives the object's orientation in the hand.
     """
     task, robot = find_task(scenario.task), oracle(scenario.hand)
-    assert isinstance(task, PickPlaceTask)
+    assert isinstance(task, TransferTask)
     scenario.random_seed = seed
     rng = np.random.default_rng(seed).spawn(1)[0]
     X_WP = task.place(scenario, robot.description.side, rng)
@@ -36,9 +36,10 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     lift = script(scenario, robot, goal, squeeze)
     scenario.timeout = float(lift.t[-1]) - HOLDING
     lifted, _ = run_trial(scenario, robot, lift)
-    place = X_WP.translation(), -lifted.place_turn, HOVER
+    R_WO = goal.object_frame(object_pose(scenario)).rotation()
+    X_WP = RigidTransform(RotationMatrix.MakeZRotation(-lifted.place_turn) @ R_WO, X_WP.translation())
     scenario.timeout = timeout
-    result, _ = run_trial(scenario, robot, script(scenario, robot, goal, squeeze, place))
+    result, _ = run_trial(scenario, robot, script(scenario, robot, goal, squeeze, (X_WP, task.hover)))
     return result.score if result.success else 0.0
 
 

@@ -10,19 +10,38 @@ import math
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
+from geort_drake.people.human_hand import HumanHand
+from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intending import IntendingPerson
+from geort_drake.simulation.operators.intention import IntentionConfig
 from geort_drake.simulation.operators.perception import Seen, VisualError
 from geort_drake.simulation.operators.state import OperatorState, Phase
+from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.port_values import rotation_of_vector
-
-HOVER = 0.02  # m, height above its place from which the object is lowered
 
 
 class PlacingPerson(IntendingPerson):
     """Grasps an object and brings it to its place.
 
-    The object's tilt is left to gravity: only its position and its yaw are corrected.
+    Args:
+        hand, goal, config, rng, kind, intention: see `IntendingPerson`.
+        hover: height above its place from which the object is lowered, m.
+        upright: whether the person turns the object upright; otherwise, its tilt is left to gravity.
     """
+
+    def __init__(
+        self,
+        hand: HumanHand,
+        goal: GraspGoal,
+        config: OperatorConfig,
+        rng: np.random.Generator,
+        kind: str,
+        intention: IntentionConfig,
+        hover: float,
+        upright: bool,
+    ):
+        super().__init__(hand, goal, config, rng, kind, intention)
+        self._hover, self._upright = hover, upright
 
     def start(self, X_WH: RigidTransform) -> OperatorState:
         error = VisualError.draw(0, self._config, self._intention_rng)
@@ -64,13 +83,16 @@ class PlacingPerson(IntendingPerson):
                 self._enter(state, Phase.CARRY, t)
 
     def _to_place(self, seen: Seen) -> RigidTransform:
-        """Returns the seen motion from object to place: yaw about the object's origin, translation in W."""
+        """Returns the seen motion from object to place: rotation and translation of the origin in W."""
         assert seen.X_WP is not None  # see `step`
-        yaw = _yaw(seen.X_WP) - _yaw(seen.X_WO)
-        symmetry = self._goal.yaw_symmetry
+        R_WO = seen.X_WO.rotation()
+        R = RotationMatrix()
+        if self._upright:
+            R = _tilt_to(R_WO.col(2), seen.X_WP.rotation().col(2))
+        yaw, symmetry = _yaw(seen.X_WP.rotation()) - _yaw(R @ R_WO), self._goal.yaw_symmetry
         yaw = math.remainder(yaw, symmetry) if symmetry else 0.0
         return RigidTransform(
-            RotationMatrix.MakeZRotation(yaw), seen.X_WP.translation() - seen.X_WO.translation()
+            RotationMatrix.MakeZRotation(yaw) @ R, seen.X_WP.translation() - seen.X_WO.translation()
         )
 
     def _target_hand_pose(self, state: OperatorState, seen: Seen) -> RigidTransform:
@@ -78,7 +100,7 @@ class PlacingPerson(IntendingPerson):
             return super()._target_hand_pose(state, seen)
         motion = self._to_place(seen)
         p_OB_W = seen.X_WB.translation() - seen.X_WO.translation()
-        above = seen.X_WO.translation() + motion.translation() + [0, 0, HOVER]
+        above = seen.X_WO.translation() + motion.translation() + [0, 0, self._hover]
         return RigidTransform(motion.rotation() @ seen.X_WB.rotation(), above + motion.rotation() @ p_OB_W)
 
     def _reach_tolerance(self, state: OperatorState) -> float:
@@ -96,6 +118,12 @@ class PlacingPerson(IntendingPerson):
         return super()._wrist_shift(state, t, seen)
 
 
-def _yaw(X: RigidTransform) -> float:
-    R = X.rotation().matrix()
-    return math.atan2(R[1, 0], R[0, 0])
+def _yaw(R: RotationMatrix) -> float:
+    return math.atan2(R.matrix()[1, 0], R.matrix()[0, 0])
+
+
+def _tilt_to(v: np.ndarray, u: np.ndarray) -> RotationMatrix:
+    """Returns the smallest rotation that turns the unit vector v to u."""
+    normal = np.cross(v, u)
+    sine = np.linalg.norm(normal)
+    return rotation_of_vector(normal / max(sine, 1e-12) * math.atan2(sine, v @ u))
