@@ -4,8 +4,8 @@ python studies/gates.py --task keys --json gates.json
 
 Prints, and writes to --json: successes of a scripted robot without a person, which must be at least 18 of 20;
 successes of a person with a hand that holds still, at most 1 of 20; and, for each kind of person, scores with
-an affine map and three worsened ones. `WORSENED` states the fault and why the task's mechanics must reveal
-it. Kendall's tau must be significantly positive (p < 0.05 in a permutation test within seeds). The same
+an affine map and three worsened ones. `WORSENED` states the faults and why the task's mechanics must reveal
+them. Kendall's tau must be significantly positive (p < 0.05 in a permutation test within seeds). The same
 command resumes an interrupted run. The robots are in `studies/scripted`.
 """
 
@@ -35,58 +35,70 @@ from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
 
-MIXED, TURNED = "mixed", "turned"
-_CONE = "a squeeze that is turned beyond the friction cone, 39° at the mean friction of 0.8, slides"
+MIXED, TURNED, SHRUNK = "mixed", "turned", "shrunk"
 
 
 class Worsening(NamedTuple):
-    """A fault of a map, its amounts, and why the task must reveal it."""
+    """Amounts of a fault of a map, and why the task must reveal it."""
 
-    fault: str
     amounts: tuple[float, ...]
     reason: str
 
 
-# MIXED: every finger but the thumb also moves by this fraction of the mean motion of the other such fingers.
-# TURNED: all directions are turned by this angle, degrees, about an axis in the palm's plane that the seed
-# draws.
+_MIXED = (0.0, 0.25, 0.5, 0.75)
+_TURNED = (0.0, 20.0, 40.0, 60.0)
+_CONE = Worsening(
+    _TURNED, "a squeeze that is turned beyond the friction cone, 39° at the mean friction of 0.8, slides"
+)
+_REACH = Worsening(
+    (0.0, 0.5, 0.75, 0.875),
+    "fingertips open by 25 mm and squeeze by 20 mm; own fingertips move by about 50 mm either way",
+)
+
+# Task → fault → its worsening. MIXED: every finger but the thumb also moves by this fraction of the mean
+# motion of the other such fingers. TURNED: all directions are turned by this angle, degrees, about an axis in
+# the palm's plane that the seed draws. SHRUNK: all motions are smaller by this fraction. A person who learns
+# the response to each own fingertip can compensate turned motion, but lacks the reach for shrunken motion.
 WORSENED = {
-    "keys": Worsening(
-        MIXED, (0.0, 0.25, 0.5, 0.75), "a press of 8 mm moves the others by 1, 2 and 3 mm; 2.5 mm are allowed"
-    ),
-    "trigger": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
-    "grasp": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
-    "pick_place": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
-    "peg": Worsening(TURNED, (0.0, 20.0, 40.0, 60.0), _CONE),
-    "cap": Worsening(
-        TURNED, (0.0, 20.0, 40.0, 60.0), "a turned stroke leaves the circle around the cap, and slides"
-    ),
-    "tracking": Worsening(
-        TURNED, (0.0, 20.0, 40.0, 60.0), "the puck goes astray by the sine of the angle, 3 mm of 10 at 20°"
-    ),
+    "keys": {
+        MIXED: Worsening(_MIXED, "a press of 8 mm moves the others by 1, 2 and 3 mm; 2.5 mm are allowed")
+    },
+    "trigger": {TURNED: _CONE},
+    "grasp": {TURNED: _CONE, SHRUNK: _REACH},
+    "pick_place": {TURNED: _CONE, SHRUNK: _REACH},
+    "peg": {TURNED: _CONE, SHRUNK: _REACH},
+    "cap": {TURNED: Worsening(_TURNED, "a turned stroke leaves the circle around the cap, and slides")},
+    "tracking": {
+        TURNED: Worsening(_TURNED, "the puck goes astray by the sine of the angle, 3 mm of 10 at 20°"),
+        SHRUNK: Worsening(
+            (0.0, 0.5, 0.75, 0.875), "targets are 10 mm off; own fingertips move by about 50 mm either way"
+        ),
+    },
 }
 
 
 class WorsenedMap:
-    """A map whose input motion about a posture is mixed among the fingers except the thumb, or turned."""
+    """A map whose input motion about a posture has a fault; see `WORSENED`."""
 
     def __init__(
         self, retarget: Any, rest: np.ndarray, keypoints: Sequence[int], fault: str, amount: float, seed: int
     ):
         self._retarget, self._rest, self._keypoints = retarget, rest, list(keypoints)
         self.joint_names = retarget.joint_names
-        self._mixing, self._R = np.eye(len(rest)), np.eye(3)
+        self._mixing, self._linear = np.eye(len(rest)), np.eye(3)
         if fault == MIXED:
             others = len(rest) - 2
             self._mixing[1:, 1:] += amount / others * (1 - np.eye(others + 1))
+        elif fault == SHRUNK:
+            self._linear *= 1 - amount
         else:
             turn = np.random.default_rng(seed).uniform(0, 2 * np.pi)
             axis = np.array([0.0, np.cos(turn), np.sin(turn)])  # x of H points out of the palm
-            self._R = Rotation.from_rotvec(np.radians(amount) * axis).as_matrix()
+            self._linear = Rotation.from_rotvec(np.radians(amount) * axis).as_matrix()
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
         moved = p_HK[self._keypoints] - self._rest
-        return self._retarget(self._rest + self._mixing @ moved @ self._R.T)
+        return self._retarget(self._rest + self._mixing @ moved @ self._linear.T)
 
 
 @functools.cache
@@ -99,23 +111,27 @@ def setting(task_name: str, hand_name: str) -> tuple[HandModel, Recording, Human
 
 
 @functools.cache
-def map_and_goal(task_name: str, hand_name: str, method: str, amount: float, seed: int) -> tuple[Any, Any]:
+def map_and_goal(
+    task_name: str, hand_name: str, method: str, fault: str, amount: float, seed: int
+) -> tuple[Any, Any]:
     """Returns the map, worsened by an amount, and the goal that the person selects after free play."""
     hand, recording, person, plans = setting(task_name, hand_name)
     retarget, _ = retargeter_of(method, hand, recording, 0, lambda *_: Path())
     if amount:
         keypoints = hand.description.human_keypoints
         rest = recording.fingertips(keypoints).mean(axis=0)
-        retarget = WorsenedMap(retarget, rest, keypoints, WORSENED[task_name].fault, amount, seed)
+        retarget = WorsenedMap(retarget, rest, keypoints, fault, amount, seed)
     goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))
     return retarget, goal
 
 
-def trial(task_name: str, hand_name: str, kind: str, method: str, amount: float, seed: int) -> dict:
+def trial(
+    task_name: str, hand_name: str, fault: str, kind: str, method: str, amount: float, seed: int
+) -> dict:
     """Returns the record of a trial of a person with the affine map, or with a hand that holds still."""
     scenario = load_scenario(*find_task(task_name).scenario, hand=hand_name)
     scenario.kind, scenario.random_seed = kind, seed
-    retarget, goal = map_and_goal(task_name, hand_name, method, amount, seed if amount else 0)
+    retarget, goal = map_and_goal(task_name, hand_name, method, fault, amount, seed if amount else 0)
     result, _ = run_trial(scenario, retarget, (setting(task_name, hand_name)[2], goal))
     return {"kind": kind, "method": method, "amount": amount, **result.to_json()}
 
@@ -154,6 +170,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--task", default="keys", choices=WORSENED, help="a task with a scripted robot")
+    parser.add_argument("--fault", help="fault of the worsened maps (default: the task's first)")
     parser.add_argument("--hand", default="allegro_right", help="name or file of a hand description")
     parser.add_argument("--kinds", nargs="+", help="kinds of people (default: all of the task)")
     parser.add_argument("--seeds", type=int, default=20, help="seeds of scripted robot and still hand")
@@ -161,7 +178,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, required=True, help="file for the figures")
     arguments = parser.parse_args(argv)
     task, path = find_task(arguments.task), arguments.json
-    worsened, kinds = WORSENED[task.name], arguments.kinds or task.kinds
+    faults, kinds = WORSENED[task.name], arguments.kinds or task.kinds
+    fault = arguments.fault or next(iter(faults))
+    if fault not in faults:
+        parser.error(f"--fault of task {task.name} is one of {', '.join(faults)}, not {fault}")
+    worsened = faults[fault]
     figures = json.loads(path.read_text()) if path.exists() else {"scripted": {}, "records": []}
     scripted, records = figures["scripted"], figures["records"]
     robot = importlib.import_module(f"scripted.{task.name}")
@@ -177,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     ] + [(task.kinds[0], "hold", 0.0, seed) for seed in range(arguments.seeds)]
     for each in wanted:
         if each not in known:
-            records.append(trial(task.name, arguments.hand, *each))
+            records.append(trial(task.name, arguments.hand, fault, *each))
             write_text(path, json.dumps(figures, indent=1) + "\n")
     for seed in range(arguments.seeds):
         if str(seed) not in scripted:
@@ -188,7 +209,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"scripted robot: {done} of {len(scripted)}; wanted at least {0.9 * len(scripted):.0f}")
         held = [record["success"] for record in records if record["method"] == "hold"]
         print(f"hold: {sum(held)} of {len(held)}; wanted at most {0.05 * len(held):.0f}")
-    print(f"{worsened.fault} by {', '.join(f'{amount:g}' for amount in worsened.amounts)}: {worsened.reason}")
+    print(f"{fault} by {', '.join(f'{amount:g}' for amount in worsened.amounts)}: {worsened.reason}")
     affine = [record for record in records if record["method"] == "affine_ik"]
     groups = {kind: [kind] for kind in kinds} | {"all kinds": kinds}
     figures["ordered"] = {name: ordering(affine, group, worsened.amounts) for name, group in groups.items()}

@@ -96,7 +96,7 @@ def act(
         own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
         goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
         intention = IntentionConfig(attention_time=look)
-        person = PlacingPerson(world.hand, goal, config, rng, kind, intention)
+        person = PlacingPerson(world.hand, goal, config, rng, kind, intention, 0.02, False)
     state = person.start(RigidTransform())
     p_WO = world.X_WO.translation()
     phases, theta, tips, wrist, squeeze = [state.phase], [state.theta], [], [], []

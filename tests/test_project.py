@@ -91,7 +91,7 @@ def test_gates_tell_a_right_order_from_chance_and_from_a_reversed_one():
     assert tied["tau"] == 0 and tied["p"] == tied["p_reversed"] == 1
 
 
-def test_worsened_maps_mix_or_turn_the_motion_of_fingers():
+def test_worsened_maps_mix_turn_or_shrink_the_motion_of_fingers():
     gates = importlib.import_module("studies.gates")
     rest, moved = np.zeros((4, 3)), np.zeros((4, 3))
     moved[1] = 0.01, 0.0, 0.0  # the index finger, out of the palm
@@ -105,3 +105,5 @@ def test_worsened_maps_mix_or_turn_the_motion_of_fingers():
     turned = gates.WorsenedMap(echo, rest, range(4), gates.TURNED, 60.0, 0)(moved)
     assert turned[1, 0] == pytest.approx(0.005) and np.linalg.norm(turned[1]) == pytest.approx(0.01)
     np.testing.assert_allclose(turned[[0, 2, 3]], 0.0)
+    shrunk = gates.WorsenedMap(echo, rest, range(4), gates.SHRUNK, 0.75, 0)(moved)
+    np.testing.assert_allclose(shrunk, 0.25 * moved)

@@ -70,6 +70,7 @@ HAND = {"fingertips", "hand_pose"}
         ("cap", HAND | {"turned"}, {"contact"}, "cap_monitor"),
         ("trigger", HAND, {"travel", "cue", "contact"}, "trigger_monitor"),
         ("pick_place", HAND | {"object_pose", "place_pose"}, {"contact"}, "transfer_monitor"),
+        ("peg", HAND | {"object_pose", "place_pose"}, {"contact"}, "transfer_monitor"),
     ],
 )
 def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(
