@@ -47,11 +47,12 @@ class Worsening(NamedTuple):
 
 _MIXED = (0.0, 0.25, 0.5, 0.75)
 _TURNED = (0.0, 20.0, 40.0, 60.0)
+_SHRUNK = (0.0, 0.5, 0.75, 0.875)
 _CONE = Worsening(
     _TURNED, "a squeeze that is turned beyond the friction cone, 39° at the mean friction of 0.8, slides"
 )
 _REACH = Worsening(
-    (0.0, 0.5, 0.75, 0.875),
+    _SHRUNK,
     "fingertips open by 25 mm and squeeze by 20 mm; own fingertips move by about 50 mm either way",
 )
 
@@ -61,7 +62,10 @@ _REACH = Worsening(
 # the response to each own fingertip can compensate turned motion, but lacks the reach for shrunken motion.
 WORSENED = {
     "keys": {
-        MIXED: Worsening(_MIXED, "a press of 8 mm moves the others by 1, 2 and 3 mm; 2.5 mm are allowed")
+        MIXED: Worsening(_MIXED, "a press of 8 mm moves the others by 1, 2 and 3 mm; 2.5 mm are allowed"),
+        SHRUNK: Worsening(
+            _SHRUNK, "three fingertips press keys 45 mm apart; own fingertips move by about 50 mm either way"
+        ),
     },
     "trigger": {TURNED: _CONE},
     "grasp": {TURNED: _CONE, SHRUNK: _REACH},
@@ -70,9 +74,7 @@ WORSENED = {
     "cap": {TURNED: Worsening(_TURNED, "a turned stroke leaves the circle around the cap, and slides")},
     "tracking": {
         TURNED: Worsening(_TURNED, "the puck goes astray by the sine of the angle, 3 mm of 10 at 20°"),
-        SHRUNK: Worsening(
-            (0.0, 0.5, 0.75, 0.875), "targets are 10 mm off; own fingertips move by about 50 mm either way"
-        ),
+        SHRUNK: Worsening(_SHRUNK, "targets are 10 mm off; own fingertips move by about 50 mm either way"),
     },
 }
 
