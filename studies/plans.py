@@ -187,6 +187,7 @@ def script(
 
 
 def object_pose(scenario: Scenario) -> RigidTransform:
+    """Returns X_WO of the object as the seed places it."""
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     body = add_object(plant, scenario.object.name)
