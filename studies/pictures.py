@@ -207,7 +207,7 @@ def record_pick_place(folder: Path, _arguments: argparse.Namespace) -> None:
 
 def record_peg(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records a dowel that is inserted in a hole."""
-    record_task("peg", "{}", folder, "servo", "dowel")
+    record_task("peg", "{}", folder, case="dowel")
 
 
 def record_trigger(folder: Path, _arguments: argparse.Namespace) -> None:
@@ -268,7 +268,7 @@ PICTURES = {
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
     "keys": Picture(record_keys, "tasks/keys/adaptive/rrd/affine_ik-keys-0.rrd", 6.9),
     "pick_place": Picture(record_pick_place, "tasks/pick_place/servo/rrd/affine_ik-block_20-0.rrd", 6.3),
-    "peg": Picture(record_peg, "tasks/peg/servo/rrd/affine_ik-dowel-0.rrd", 10.6),
+    "peg": Picture(record_peg, "tasks/peg/adaptive/rrd/affine_ik-dowel-0.rrd", 15.0),
     "trigger": Picture(record_trigger, "tasks/trigger/adaptive/rrd/affine_ik-trigger-0.rrd", 7.5),
     "cap": Picture(record_cap, "tasks/cap/adaptive/rrd/affine_ik-cap-0.rrd", 6.0),
     "tracking": Picture(record_tracking, "tasks/tracking/servo/rrd/affine_ik-tracking-0.rrd", 9.5),
