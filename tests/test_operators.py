@@ -141,6 +141,24 @@ def test_a_finger_is_corrected_while_it_is_looked_at():
     assert in_turn[2] < 0.75 * never[2] and never[1] < in_turn[1]
 
 
+@pytest.mark.parametrize("upright", [True, False])
+def test_a_person_turns_a_tilted_object_upright_or_leaves_that_to_gravity(upright, rng):
+    """On the way to its place."""
+    config = dc.replace(OperatorConfig(), **QUIET)
+    world, settings = StandInWorld(1.0, config), (config, rng, "servo", IntentionConfig(), 0.02, upright)
+    person = PlacingPerson(world.hand, dc.replace(world.goal, yaw_symmetry=0.0), *settings)
+    X_WB, X_WO = world.X_WB, RigidTransform(RollPitchYaw(0.2, -0.1, 0.5), [0.5, 0, 0.3])
+    X_BO = X_WB.inverse() @ X_WO
+    held = {"p_BO": X_BO.translation(), "p_BO_start": X_BO.translation()}
+    state = dc.replace(person.start(RigidTransform()), phase=Phase.CARRY, **held)
+    seen = Seen(np.zeros((4, 3)), X_WB, X_WO, np.ones(4), RigidTransform([0.5, 0.2, 0.15]))
+    end = person.step(state, 1.0, seen).movement.X_end  # of the wrist, from the identity
+    X_WB = RigidTransform(end.rotation() @ X_WB.rotation(), X_WB.translation() + end.translation())
+    np.testing.assert_allclose((X_WB @ X_BO).translation(), [0.5, 0.2, 0.17], atol=1e-9)
+    up = (X_WB @ X_BO).rotation().matrix()[2, 2]
+    assert up == pytest.approx(1.0 if upright else X_WO.rotation().matrix()[2, 2])
+
+
 STRAIGHT = [Phase.REACH, Phase.APPROACH, Phase.SURROUND, Phase.CLOSE, Phase.SQUEEZE, Phase.LIFT, Phase.HOLD]
 
 
