@@ -135,7 +135,7 @@ def trial(
     scenario.kind, scenario.random_seed = kind, seed
     retarget, goal = map_and_goal(task_name, hand_name, method, fault, amount, seed if amount else 0)
     result, _ = run_trial(scenario, retarget, (setting(task_name, hand_name)[2], goal))
-    return {"kind": kind, "method": method, "amount": amount, **result.to_json()}
+    return {"fault": fault, "kind": kind, "method": method, "amount": amount, **result.to_json()}
 
 
 def tau(*scores: np.ndarray) -> float:
@@ -190,17 +190,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     robot = importlib.import_module(f"scripted.{task.name}")
     scenario = load_scenario(*task.scenario, hand=arguments.hand)
     plan = robot.plans(scenario, load_hand(arguments.hand))[0]
-    known = {(r["kind"], r["method"], r["amount"], r["seed"]) for r in records}
-    # Seed by seed, so that an interrupted run is balanced.
+    known = {(r["fault"], r["kind"], r["method"], r["amount"], r["seed"]) for r in records}
+    # Seed by seed, so that an interrupted run is balanced. Maps without a fault serve every fault.
     wanted = [
-        (kind, "affine_ik", amount, seed)
+        (fault if amount else "", kind, "affine_ik", amount, seed)
         for seed in range(arguments.map_seeds)
         for kind in kinds
         for amount in worsened.amounts
-    ] + [(task.kinds[0], "hold", 0.0, seed) for seed in range(arguments.seeds)]
+    ] + [("", task.kinds[0], "hold", 0.0, seed) for seed in range(arguments.seeds)]
     for each in wanted:
         if each not in known:
-            records.append(trial(task.name, arguments.hand, fault, *each))
+            records.append(trial(task.name, arguments.hand, *each))
             write_text(path, json.dumps(figures, indent=1) + "\n")
     for seed in range(arguments.seeds):
         if str(seed) not in scripted:
@@ -212,7 +212,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         held = [record["success"] for record in records if record["method"] == "hold"]
         print(f"hold: {sum(held)} of {len(held)}; wanted at most {0.05 * len(held):.0f}")
     print(f"{fault} by {', '.join(f'{amount:g}' for amount in worsened.amounts)}: {worsened.reason}")
-    affine = [record for record in records if record["method"] == "affine_ik"]
+    affine = [r for r in records if r["method"] == "affine_ik" and r["fault"] in ("", fault)]
     groups = {kind: [kind] for kind in kinds} | {"all kinds": kinds}
     figures["ordered"] = {name: ordering(affine, group, worsened.amounts) for name, group in groups.items()}
     for kind, found in figures["ordered"].items():
