@@ -96,7 +96,7 @@ def act(
         own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
         goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
         intention = IntentionConfig(attention_time=look)
-        person = PlacingPerson(world.hand, goal, config, rng, kind, intention, 0.02, False)
+        person = PlacingPerson(world.hand, goal, config, rng, kind, intention, hover=0.02, upright=False)
     state = person.start(RigidTransform())
     p_WO = world.X_WO.translation()
     phases, theta, tips, wrist, squeeze = [state.phase], [state.theta], [], [], []
@@ -145,8 +145,9 @@ def test_a_finger_is_corrected_while_it_is_looked_at():
 def test_a_person_turns_a_tilted_object_upright_or_leaves_that_to_gravity(upright, rng):
     """On the way to its place."""
     config = dc.replace(OperatorConfig(), **QUIET)
-    world, settings = StandInWorld(1.0, config), (config, rng, "servo", IntentionConfig(), 0.02, upright)
-    person = PlacingPerson(world.hand, dc.replace(world.goal, yaw_symmetry=0.0), *settings)
+    world = StandInWorld(1.0, config)
+    known = world.hand, dc.replace(world.goal, yaw_symmetry=0.0), config, rng, "servo", IntentionConfig()
+    person = PlacingPerson(*known, hover=0.02, upright=upright)
     X_WB, X_WO = world.X_WB, RigidTransform(RollPitchYaw(0.2, -0.1, 0.5), [0.5, 0, 0.3])
     X_BO = X_WB.inverse() @ X_WO
     held = {"p_BO": X_BO.translation(), "p_BO_start": X_BO.translation()}

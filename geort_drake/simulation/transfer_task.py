@@ -200,9 +200,8 @@ class TransferTask(ObjectTask):
     def person(
         self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator
     ) -> Person:
-        return PlacingPerson(
-            hand, goal, scenario.operator, rng, scenario.kind, scenario.intention, self.hover, self.upright
-        )
+        known = hand, goal, scenario.operator, rng, scenario.kind, scenario.intention
+        return PlacingPerson(*known, hover=self.hover, upright=self.upright)
 
     def result_fields(self, outcome: TransferOutcome, description: HandDescription) -> dict[str, Any]:
         assert outcome.carried is not None  # the monitor's first check is at the start

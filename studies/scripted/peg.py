@@ -28,7 +28,7 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     scenario.random_seed = seed
     squeeze = scenario.operator.squeeze
     X_WB, X_WO = _lifted(scenario, robot, script(scenario, robot, goal, squeeze))
-    X_WP = task.place(scenario, robot.description.side, np.random.default_rng())
+    X_WP = task.place(scenario, robot.description.side, np.random.default_rng(seed))
     R_WO = RotationMatrix.MakeZRotation(RollPitchYaw(X_WO.rotation()).yaw_angle())  # upright
     X_BO = X_WB.inverse() @ X_WO
     above = RigidTransform(R_WO, X_WP.translation()) @ X_BO.inverse() @ goal.X_OB.inverse()

@@ -37,6 +37,7 @@ class PlacingPerson(IntendingPerson):
         rng: np.random.Generator,
         kind: str,
         intention: IntentionConfig,
+        *,
         hover: float,
         upright: bool,
     ):

@@ -12,8 +12,9 @@ from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 from geort_drake.simulation.transfer_task import CarriedState, Steps, TransferTask
 
-# Of dowel and block, m: see models/sdf/parts/dowel.sdf and models/sdf/peg_block.sdf.
-_DEPTH, _HOLE_DISTANCE = 0.030, 0.15
+# Bottom of the left hole in W, whose mirror image is the right one, and depth of both, m: see scenario.yaml
+# and models/sdf/peg_block.sdf.
+_HOLE, _DEPTH = (0.45, 0.15, 0.030), 0.030
 _TIP_HEIGHT = 0.105  # m above the lower end, so that the dowel hangs from its contacts
 
 
@@ -43,9 +44,9 @@ class PegTask(TransferTask):
         return ["dowel"]
 
     def place(self, scenario: Scenario, side: str, rng: np.random.Generator) -> RigidTransform:
-        x, y = scenario.object.position
-        y += _HOLE_DISTANCE if side == "left" else -_HOLE_DISTANCE
-        return RigidTransform([x, y, scenario.object.support_height - _DEPTH])
+        """Returns X_WP in the left hole for a left hand, in the right one for a right hand."""
+        x, y, z = _HOLE
+        return RigidTransform([x, y if side == "left" else -y, z])
 
     def plans(self, scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
         return GraspPlanner(scenario, description, "power", _TIP_HEIGHT).plans()
