@@ -272,5 +272,4 @@ GENERATORS = {
     "tasks": tasks_table,
     "objects": objects_table,
     "hands": hands_table,
-    "perturbations": lambda: parameters_table("PERTURBATIONS", nominal=False),
 }

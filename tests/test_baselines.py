@@ -12,7 +12,6 @@ from geort_drake.retargeting.methods import make_untrained, untrained_methods
 from geort_drake.retargeting.methods.affine_ik import AffineIK
 from geort_drake.retargeting.methods.linear_offline import SCALE, LinearConfig, train_linear_offline
 from geort_drake.retargeting.methods.online import DexPilotOnline, VectorOnline
-from geort_drake.retargeting.methods.trivial import NearestNeighbour
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.training.kinematics import HandKinematics
 
@@ -149,15 +148,6 @@ def test_the_affine_map_puts_one_workspace_onto_the_other(kinematics):
         AffineIK(kinematics, np.ones((5, 4, 3)))
 
 
-def test_the_nearest_neighbour_answers_a_stored_hand_exactly(kinematics):
-    """At a stored frame the answer is that frame's, and so is it nearby."""
-    frames = walk(kinematics, 50)
-    retarget = NearestNeighbour(kinematics, frames, count=50)
-    rest = VectorOnline(kinematics).settle(frames)
-    np.testing.assert_allclose(retarget(frames), rest, atol=1e-9)
-    np.testing.assert_array_equal(retarget(frames[3] + 1e-6), retarget(frames[3]))
-
-
 def test_linear_offline_learns_the_scaled_hand():
     """A person whose scaled hand the robot can have is reproduced within a few millimetres."""
     hand = replace(toy_kinematics(), p_BW=P_BW)
@@ -175,10 +165,8 @@ def test_linear_offline_learns_the_scaled_hand():
 
 
 def test_unknown_names_and_senseless_settings_are_refused(kinematics):
-    with pytest.raises(UnknownNameError, match="dexpilot_online, hold, nearest_neighbour, vector_online"):
+    with pytest.raises(UnknownNameError, match="dexpilot_online, hold, vector_online"):
         make_untrained("mimic", kinematics)
-    with pytest.raises(GeortError, match="recorded frames"):
-        make_untrained("nearest_neighbour", kinematics)
     with pytest.raises(HandError, match="needs a thumb"):
         DexPilotOnline(toy_kinematics(("index", "middle")))
     with pytest.raises(UnknownNameError, match="finger 'pollex'"):

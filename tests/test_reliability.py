@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from faults import disks, kills
+from faults import kills
 from faults.hostile import CASES, faults_of
 from faults.mutations import fuzz as fuzz_readers
 from faults.physics import ENERGY, watched
@@ -125,14 +125,6 @@ def test_a_killed_program_resumes(work, by_clock, new_interpreter, tmp_path):
     """
     rng, known = np.random.default_rng(len(work)), kills.reference(work, tmp_path / "known")
     assert kills.kill(known, tmp_path / "kill", rng, by_clock, new_interpreter) == []
-
-
-@pytest.mark.parametrize("reason", disks.DISKS)
-def test_every_writer_names_the_file_that_it_cannot_write(reason, tmp_path):
-    """And why: files may not grow, or the disk is full or read-only. Nothing incomplete is left."""
-    if disks.DISKS[reason] and not disks.can_mount(tmp_path):
-        pytest.skip("mounting a disk needs the superuser")
-    assert disks.spoilt(tmp_path / "disk", reason) == []
 
 
 def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):

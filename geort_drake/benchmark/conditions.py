@@ -102,14 +102,6 @@ ASSUMPTIONS = {
     ),
 }
 
-# Ranges of random changes of the object that replays change.
-PERTURBATIONS = {
-    "position": _field("largest shift in x and y, mm", (5, 10, 20), "object.position_range", 1e-3),
-    "yaw": _field("largest rotation, °", (5, 15, 30), "object.yaw_range", math.radians(1)),
-    "mass": _field("largest change of mass, fraction", (0.2, 0.5, 0.8), "object.mass_range"),
-    "friction": _field("largest change of friction, fraction", (0.2, 0.5, 0.8), "object.friction_range"),
-}
-
 
 def parse_values(texts: Iterable[str], parameters: Mapping[str, Parameter]) -> dict[str, list[float]]:
     """Parses texts `NAME=V1,V2`, or `NAME` for its defaults, to name → values; no texts mean all defaults.

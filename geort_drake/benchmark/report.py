@@ -1,19 +1,17 @@
-"""Writes reports of a benchmark's folder: `summary.json`, plots, `report.md`, for grasps `report.html`."""
+"""Writes reports of a benchmark's folder: `summary.json`, plots, `report.md`."""
 
 import functools
 import json
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from geort_drake.benchmark.config import CONFIG, SCENARIO, TRIALS, read_config
 from geort_drake.benchmark.folder import rerun_path
-from geort_drake.benchmark.people import summarize_people
 from geort_drake.benchmark.plots import completion_plot, success_panels
 from geort_drake.benchmark.records import Record, by_training, key_of, read_records, training_of
-from geort_drake.benchmark.replay import summarize_replay
 from geort_drake.benchmark.sensitivity import summarize_sensitivity
 from geort_drake.benchmark.statistics import ending, summarize
 from geort_drake.errors import BenchmarkError
@@ -22,23 +20,22 @@ from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp.contacts import grip_of
 from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
 
-SUMMARY, HTML, MARKDOWN = "summary.json", "report.html", "report.md"
-# Plot → file to which the Markdown report refers; the HTML report contains all plots.
-FIGURES = {"completion": "completion.svg", "sensitivity": "sensitivity.svg", "success": "success.svg"}
+SUMMARY, MARKDOWN = "summary.json", "report.md"
+# Plot → file to which the report refers.
+FIGURES = {"completion": "completion.svg", "sensitivity": "sensitivity.svg"}
 _PHASES = [phase.name.lower() for phase in GraspPhase if phase not in (GraspPhase.DONE, GraspPhase.THROWN)]
 
 
-def write_grasp_report(folder: Path, people: Sequence[Record] = ()) -> dict:
+def write_grasp_report(folder: Path) -> dict:
     """Writes the report of the finished trials in the folder of a grasp benchmark.
 
     Args:
         folder: folder of the benchmark.
-        people: sessions of real people, see `read_people`, to compare with the trials.
 
     Returns:
         The summary: the entries of `summarize`; `errors`, the number of trials with an error; `sensitivity`,
         see `summarize_sensitivity`; `refused`: object that the hand cannot grasp → why; `config`, the
-        benchmark's configuration; `people`, see `summarize_people`, None without people.
+        benchmark's configuration.
 
     Raises:
         BenchmarkError: the folder contains no benchmark, or a damaged one.
@@ -68,7 +65,6 @@ def write_grasp_report(folder: Path, people: Sequence[Record] = ()) -> dict:
     errors = [{**record, "trial": str(key_of(record))} for record in everything if "error" in record]
     summary = {**summary, "errors": len(errors), "sensitivity": sensitivity, "config": config}
     summary["refused"] = refused = config.get("refused", {})
-    summary["people"] = summarize_people(people, by_method, summary["timeout_s"]) if people else None
     plots = {"completion": completion_plot(by_method, order, summary["timeout_s"])}
     if sensitivity:
         plots["sensitivity"] = success_panels(sensitivity)
@@ -85,34 +81,23 @@ def write_grasp_report(folder: Path, people: Sequence[Record] = ()) -> dict:
         "expected": len(config["methods"]) * (len(config["objects"]) - len(refused)) * config["trials"],
         "command": f"geort-drake benchmark --output {shlex.quote(str(folder))} --rrd",
     }
-    _write(folder, "grasp", (MARKDOWN, HTML), summary, plots, content)
-    return summary
-
-
-def write_replay_report(folder: Path) -> dict:
-    """Writes the report of the finished replays; returns the result of `summarize_replay`."""
-    summary = summarize_replay(read_records(folder / TRIALS))
-    panels = summary["perturbations"]
-    _write(folder, "replay", (MARKDOWN,), summary, {"success": success_panels(panels)} if panels else {}, {})
+    _write(folder, "grasp", summary, plots, content)
     return summary
 
 
 def _write(
     folder: Path,
     kind: str,
-    names: Iterable[str],
     summary: dict,
     plots: Mapping[str, str],
     content: Mapping[str, object],
 ) -> None:
-    """Writes the summary, the plots (name → SVG), and the reports from the templates of `kind`."""
+    """Writes the summary, the plots (name → SVG), and the report from the template of `kind`."""
     write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
     for name, plot in plots.items():
         write_text(folder / FIGURES[name], plot)
-    environment = _environment()
-    for name in names:
-        template = environment.get_template(f"{kind}_{name}.j2")
-        write_text(folder / name, template.render(summary=summary, figures=FIGURES, **content))
+    template = _environment().get_template(f"{kind}_{MARKDOWN}.j2")
+    write_text(folder / MARKDOWN, template.render(summary=summary, figures=FIGURES, **content))
 
 
 def _group(summary: dict, *path: str) -> dict:
@@ -134,7 +119,6 @@ def _shown(folder: Path, record: Record) -> dict:
 def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("geort_drake.benchmark"),
-        autoescape=select_autoescape(["html.j2"], default=False),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -144,7 +128,6 @@ def _environment() -> Environment:
         "seconds": _with_interval("{:.1f}"),
         "points": _with_interval("{:+.0f}", scale=100),
         "signed": _with_interval("{:+.1f}"),
-        "speed": _with_interval("{:.2f}"),
         "plain": "{:g}".format,
         "number": _number,
         "probability": lambda p: "< 0.001" if p < 0.001 else f"{p:.3f}",

@@ -23,11 +23,8 @@ from geort_drake.simulation.tasks import find_task
 GRASP = "grasp"
 
 
-def write_task_report(folder: Path, people: Sequence[Record] = ()) -> dict:
+def write_task_report(folder: Path) -> dict:
     """Writes and returns the summary of one task's folder; for grasps, see `write_grasp_report`.
-
-    Args:
-        people: sessions of real people, see `read_people`, to compare with grasps.
 
     Returns:
         For tasks other than grasps: `tasks`: name → kind → result of `task_figures`; `conditions`: name →
@@ -38,7 +35,7 @@ def write_task_report(folder: Path, people: Sequence[Record] = ()) -> dict:
     """
     config = read_config(folder)
     if task_of(config) == GRASP:
-        return write_grasp_report(folder, people)
+        return write_grasp_report(folder)
     records = read_records(folder / TRIALS)
     figures = task_figures(records, config)
     conditions = {

@@ -10,7 +10,6 @@ import traceback
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from geort_drake.benchmark.motion import motion_of
 from geort_drake.benchmark.own_method import OwnMethod
 from geort_drake.benchmark.records import Record, TrialKey, TrialLog, identity, keep_error
 from geort_drake.benchmark.workers import call_in_workers
@@ -87,7 +86,7 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         rerun_path: file of the Rerun recording; None for none.
 
     Returns:
-        `method`, `condition`, the fields of the task's result, `attainable`, `motion`, and `faults` of an
+        `method`, `condition`, the fields of the task's result, `attainable`, and `faults` of an
         `OwnMethod`; after an exception, `error` with its traceback instead of a result.
     """
     key = trial.key
@@ -95,7 +94,7 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         scenario = _scenario(trial.scenario_text, key.object)
         scenario.random_seed = key.seed
         scenario.retargeting.latency = trial.latency
-        result, recording = run_trial(
+        result, _ = run_trial(
             scenario,
             trial.retarget,
             trial.human,
@@ -106,7 +105,6 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
     except Exception:
         return {**identity(key), "error": traceback.format_exc()}
     record = {**identity(key), **result.to_json(), "attainable": trial.attainable}
-    record["motion"] = motion_of(recording)
     if isinstance(trial.retarget, OwnMethod):
         record["faults"] = dict(trial.retarget.faults)
     return record

@@ -23,7 +23,6 @@ COMMANDS = (
     "evaluate",
     "explore",
     "benchmark",
-    "replay",
     "add-hand",
     "check-recording",
     "convert",

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
 # Methods that need no training.
 QUICK = {
-    "methods": ("universal", "vector_online", "dexpilot_online", "nearest_neighbour", "hold"),
+    "methods": ("universal", "vector_online", "dexpilot_online", "hold"),
     "objects": ("cylinder", "sphere", "cube"),
     "trials": 2,
 }
 EPILOG = """\
 {methods}
-Writes trials.jsonl (one line per finished trial), summary.json, report.html and report.md to --output.
+Writes trials.jsonl (one line per finished trial), summary.json and report.md to --output.
 
 Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
 """
@@ -66,8 +66,6 @@ def add_arguments(parser: CommandParser) -> None:
         "NAME, all are changed in turn"
     )
     add("--sensitivity", nargs="*", metavar="NAME=V1,V2", help=assumptions)
-    people = "compare with sessions that real people recorded with the live page"
-    add("--people", type=Path, metavar="DIR", help=people)
     parser.add_side()
     parser.add_seed("training and synthetic play")
     add(
@@ -85,7 +83,6 @@ def add_arguments(parser: CommandParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake.benchmark.people import read_people
     from geort_drake.benchmark.tasks import write_summary, write_task_report
 
     if arguments.rrd:
@@ -106,14 +103,11 @@ def run(arguments: argparse.Namespace) -> int:
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
     several = arguments.tasks or arguments.kinds
-    if several and arguments.people:
-        raise UsageError("--people compares grasps only; leave out --tasks and --kinds")
-    people = read_people(arguments.people) if arguments.people else []
     if not arguments.report:
         run_unfinished(
             arguments, tasks_of(arguments) if several else {arguments.output: scenario_of(arguments)}
         )
-    summary = write_summary(arguments.output) if several else write_task_report(arguments.output, people)
+    summary = write_summary(arguments.output) if several else write_task_report(arguments.output)
     return report_tasks(arguments, summary) if "tasks" in summary else report(arguments, summary)
 
 

@@ -19,13 +19,6 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
         "the first method, %"
     )
     print_table(headings, _rows(summary), "Grasps", caption)
-    if summary["people"]:
-        people = ("who", "success", "95 %", "mean\ntime", "wrist", "fingertips", "movements")
-        meaning = (
-            "with the objects that people grasped; mean time: failures count as the timeout; wrist, "
-            "fingertips: mean speed in motion; movements: peaks of the wrist's speed"
-        )
-        print_table(people, _people_rows(summary["people"]), "Real and simulated people", meaning)
     if summary["refused"]:
         warn(f"objects left out, because the hand cannot grasp them: {', '.join(summary['refused'])}")
     for name, entry in summary["methods"].items():
@@ -33,7 +26,7 @@ def report(arguments: argparse.Namespace, summary: dict) -> int:
     if errors:
         warn(f"trials that raised an error: {errors}; see {folder / 'errors'}")
     write_json(arguments.json, summary)
-    finish({"Report": f"{folder / 'report.html'} (open it in a browser)"})
+    finish({"Report": folder / "report.md"})
     return 1 if errors else 0
 
 
@@ -88,25 +81,4 @@ def _rows(summary: dict) -> Iterator[list[str]]:
             f"{100 * overall['tip_success']['rate']:.0f} %",
             f"{overall['completion_time_s']['restricted_mean']['mean']:.1f} s",
             "–" if difference.get("mean") is None else f"{100 * difference['mean']:+.0f}",
-        ]
-
-
-def _people_rows(summary: dict) -> Iterator[list[str]]:
-    """Yields a row per map of real people and per method of the simulated person."""
-    rows = {f"real ({figures['persons']}), {name}": figures for name, figures in summary["people"].items()}
-    rows |= {f"simulated, {name}": figures for name, figures in summary["simulated"].items()}
-
-    def mean(value: dict, form: str) -> str:
-        return "–" if value["mean"] is None else form.format(value["mean"])
-
-    for name, figures in rows.items():
-        success = figures["success"]
-        yield [
-            name,
-            f"{success['successes']} of {success['trials']}",
-            f"{100 * success['low']:.0f}–{100 * success['high']:.0f} %",
-            mean(figures["completion_time"], "{:.1f} s"),
-            mean(figures["wrist_speed"], "{:.2f} m/s"),
-            mean(figures["fingertip_speed"], "{:.2f} m/s"),
-            mean(figures["movements"], "{:.1f}"),
         ]

@@ -34,7 +34,7 @@ STDOUT = Path("-")
 # File in a results folder → the only commands that write it.
 RESULT_FILES = {
     "results.json": "grasp",
-    "trials.jsonl": "benchmark or replay",
+    "trials.jsonl": "benchmark",
     "weights.safetensors": "train or refit",
     "episodes.parquet": "export",
     "meta/info.json": "export",

@@ -72,8 +72,8 @@ def make_untrained(
         name: name of the method, from `untrained_methods()`.
         kinematics: kinematics of the robot hand, mirrored for a left hand.
         human_keypoints: keypoint of each fingertip; by default the fingers' names determine it.
-        frames: recorded fingertips (T, F, 3), m, which affine_ik and nearest_neighbour need.
-        seed: seed of these methods' draws.
+        frames: recorded fingertips (T, F, 3), m, which affine_ik needs.
+        seed: seed of its draws.
 
     Raises:
         UnknownNameError: there is no such method.

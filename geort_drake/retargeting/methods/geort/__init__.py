@@ -32,6 +32,10 @@ def train_geort(
 
 METHODS = (
     TrainedMethod(
-        "geort", "GeoRT's five criteria with our weights: one network per finger", GeortConfig, train_geort, Retargeter
+        "geort",
+        "GeoRT's five criteria with our weights: one network per finger",
+        GeortConfig,
+        train_geort,
+        Retargeter,
     ),
 )
