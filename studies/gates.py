@@ -67,15 +67,10 @@ WORSENED = {
             _SHRUNK, "three fingertips press keys 45 mm apart; own fingertips move by about 50 mm either way"
         ),
     },
-    "trigger": {TURNED: _CONE},
     "grasp": {TURNED: _CONE, SHRUNK: _REACH},
     "pick_place": {TURNED: _CONE, SHRUNK: _REACH},
     "peg": {TURNED: _CONE, SHRUNK: _REACH},
     "cap": {TURNED: Worsening(_TURNED, "a turned stroke leaves the circle around the cap, and slides")},
-    "tracking": {
-        TURNED: Worsening(_TURNED, "the puck goes astray by the sine of the angle, 3 mm of 10 at 20°"),
-        SHRUNK: Worsening(_SHRUNK, "targets are 10 mm off; own fingertips move by about 50 mm either way"),
-    },
 }
 
 

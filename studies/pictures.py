@@ -210,19 +210,9 @@ def record_peg(folder: Path, _arguments: argparse.Namespace) -> None:
     record_task("peg", "{}", folder, case="dowel")
 
 
-def record_trigger(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Records a pull of the trigger."""
-    record_task("trigger", "{task_settings: {pulls: 1}}", folder)
-
-
 def record_cap(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records two strokes of the cap."""
     record_task("cap", "{task_settings: {turn: 90}}", folder)
-
-
-def record_tracking(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Records two targets of the puck."""
-    record_task("tracking", "{task_settings: {targets: 2, enough: 1}}", folder, "servo")
 
 
 def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
@@ -269,9 +259,7 @@ PICTURES = {
     "keys": Picture(record_keys, "tasks/keys/adaptive/rrd/affine_ik-keys-0.rrd", 6.9),
     "pick_place": Picture(record_pick_place, "tasks/pick_place/servo/rrd/affine_ik-block_20-0.rrd", 6.3),
     "peg": Picture(record_peg, "tasks/peg/adaptive/rrd/affine_ik-dowel-0.rrd", 15.0),
-    "trigger": Picture(record_trigger, "tasks/trigger/adaptive/rrd/affine_ik-trigger-0.rrd", 7.5),
     "cap": Picture(record_cap, "tasks/cap/adaptive/rrd/affine_ik-cap-0.rrd", 6.0),
-    "tracking": Picture(record_tracking, "tasks/tracking/servo/rrd/affine_ik-tracking-0.rrd", 9.5),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
     "hand": Picture(record_hand, "hand.rrd", 12.0),
     "capture": Picture(record_capture, "capture.rrd", 66.0),

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 import trimesh
 from faults.sound import checkpoint
-from grasp_setup import plan_once
 from live_messages import headset, hello, station
 from live_page import live_program
 from pydrake.geometry import Mesh, Sphere
@@ -35,8 +34,6 @@ from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.serve import is_loopback, own_addresses, self_signed_context
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.tasks.tracking.planner import targets
 from geort_drake.systems.port_values import pose_to_vector
 
 KEY = "a-secret"
@@ -200,29 +197,21 @@ async def test_a_hundred_broken_connections_leave_the_server_serving():
         wait_for(lambda: station.spectators == 0 or None, PATIENCE_S, lambda: "they still look on")
 
 
-def test_the_scene_holds_every_body_that_moves_and_frames_follow_it(monkeypatch):
-    """A target is its body once more, translucent: in the grip before the first cue, and then elsewhere."""
-    plan_once(monkeypatch, "tracking")
-    scenario = load_scenario(*find_task("tracking").scenario, "{task_settings: {ready_time: 0.05}}")
+def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
+    scenario = load_scenario()
     description = load_hand(scenario.hand)
     robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
-    plant, target = robot.stage.scene.plant, robot.stage.target
+    plant, body = robot.stage.scene.plant, robot.stage.scene.object_body
     inspector = robot.stage.scene.scene_graph.model_inspector()
-    scene = Scene(plant, inspector, description, parked=True, target=target.body)
+    scene = Scene(plant, inspector, description)
     facts = json.loads(json.dumps(scene.description))
     names, looks = facts["moving"], facts["geometries"]
     assert names[facts["hand_base"]["moving"]].startswith("hand::")
-    assert {look["moving"] for look in looks} == {*range(len(names))}
-    puck, again = (
-        [look for look in looks if look["moving"] == names.index(name)] for name in ("puck::puck", "target")
-    )
-    assert [look["size"] for look in again] == [look["size"] for look in puck]
-    assert {look["color"][3] for look in again} == {0.35}
+    assert {look["moving"] for look in looks} - {None} == {*range(len(names))}
     builder, frames, points = DiagramBuilder(), [], np.arange(63.0).reshape(21, 3)
     builder.AddNamedSystem("robot", robot.diagram)
     stream = builder.AddSystem(PoseStream(scene, lambda: points, "left", frames.append))
-    for name in ("body_poses", "target_pose"):
-        builder.Connect(robot.diagram.GetOutputPort(name), stream.GetInputPort(name))
+    builder.Connect(robot.diagram.GetOutputPort("body_poses"), stream.GetInputPort("body_poses"))
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
     robot.stage.scene.initialize(root)
@@ -230,15 +219,14 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it(monkeypatch)
         port = robot.diagram.GetInputPort(f"{group.name}_desired_state")
         held = np.concatenate([group.start, np.zeros_like(group.start)])
         port.FixValue(robot.diagram.GetMyMutableContextFromRoot(root), held)
-    X_WG = plant.GetDefaultFloatingBaseBodyPose(target.body)
+    X_WO = plant.GetDefaultFloatingBaseBodyPose(body)
     link = plant.GetBodyByName("link_15").EvalPoseInWorld(plant.GetMyContextFromRoot(root))
     simulator.AdvanceTo(0.1)
-    first, last = (np.frombuffer(frames[number], "<f4") for number in (0, -1))
+    first = np.frombuffer(frames[0], "<f4")
     assert len(first) == 1 + 7 * len(names) + 63
-    for name, X in (("hand::link_15", link), ("puck::puck", X_WG), ("target", X_WG)):
+    for name, X in (("hand::link_15", link), ("cylinder::cylinder", X_WO)):
         begin = 1 + 7 * names.index(name)
         np.testing.assert_allclose(first[begin : begin + 7], pose_to_vector(X), atol=1e-6)
-    assert min(np.abs(last[-70:-63] - pose_to_vector(X_WG @ X_GT)).max() for X_GT in targets()) < 1e-6
     # A left hand is no longer its mirror image.
     np.testing.assert_array_equal(first[-63:].reshape(21, 3), points * [1, -1, 1])
 

@@ -68,7 +68,6 @@ def test_text_is_merged_over_the_file():
         ("{wrist_to_arm: {joint_speed_share: 2}}", r"joint_speed_share must be at most 1, not 2"),
         ("{correction: {kind: magic}}", r"correction\.kind must be one of none, guard, policy"),
         ("{object: {mass_range: 1.0}}", r"object\.mass_range must be in \[0, 1\)"),
-        ("{timeout: 5, timeout: 6}", "text merged into .* 'timeout' is given twice"),
         ("directives: []", "must add a model named 'arm'"),
         ("arm_posture: {elbow: 0}", "no joint 'elbow'; the joints are: panda_joint1"),
         ("hand_parent: adapter::arm_side", "hand_parent: .*arm_side"),
@@ -87,7 +86,7 @@ def test_wrong_values_and_models_that_do_not_fit_are_refused_by_name(text, messa
     ("contents", "message"),
     [
         (b"Grasp: " + b"[" * 5000 + b"]" * 5000, "must map names to scenarios"),
-        (b"Grasp:\n  timeout: 5\n  object: {yaw: 0.1, yaw: 0.2}\n", "'yaw' is given twice in .* line 3"),
+        (b"- Grasp", "must map names to scenarios"),
     ],
 )
 def test_malformed_files_are_refused_by_name(tmp_path, contents, message):

@@ -17,7 +17,6 @@ from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.tasks.keys.planner import KeysGoal
-from geort_drake.simulation.tasks.trigger.planner import TriggerGoal
 
 # What the person's modules may run through besides each other, directly or not.
 HARMLESS = {
@@ -52,7 +51,7 @@ def test_no_module_of_the_person_runs_through_a_robot_or_a_map():
 
 def test_goals_tell_places_and_no_postures():
     """Nor the map; free play tells what could be seen then."""
-    told = {field.name for goal in (GraspGoal, KeysGoal, TriggerGoal) for field in dc.fields(goal)}
+    told = {field.name for goal in (GraspGoal, KeysGoal) for field in dc.fields(goal)}
     assert not told & {"q", "q_open", "q_pressed", "q_held", "joint_names", "retarget"}
     assert set(FreePlay._fields) == {"p_HF", "p_BF", "period"}
 
@@ -66,9 +65,7 @@ HAND = {"fingertips", "hand_pose"}
     [
         ("grasp", HAND | {"object_pose"}, {"contact"}, "grasp_monitor"),
         ("keys", HAND, {"travel", "cue"}, "keys_monitor"),
-        ("tracking", HAND | {"object_pose", "target_pose"}, {"cue", "contact"}, "tracking_monitor"),
         ("cap", HAND | {"turned"}, {"contact"}, "cap_monitor"),
-        ("trigger", HAND, {"travel", "cue", "contact"}, "trigger_monitor"),
         ("pick_place", HAND | {"object_pose", "place_pose"}, {"contact"}, "transfer_monitor"),
         ("peg", HAND | {"object_pose", "place_pose"}, {"contact"}, "transfer_monitor"),
     ],

@@ -44,7 +44,6 @@ class SimulatedRobot:
     Output ports:
         hand_state (2n), arm_state (2m): measured positions (rad), then velocities (rad/s), in the same order.
         body_poses (abstract list of RigidTransform): X_WB by the plant's body index.
-        target_pose (7): see `Target`; only if the task has one.
 
     Attributes:
         diagram: the simulation; not a base class, as Drake never frees subclasses in Python (drake#24162).
@@ -80,8 +79,6 @@ class SimulatedRobot:
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
         builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
-        if self.stage.target is not None:
-            builder.ExportOutput(self.stage.target.pose, "target_pose")
         self.diagram = builder.Build()
         self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
 

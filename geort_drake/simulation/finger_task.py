@@ -21,10 +21,9 @@ from geort_drake.simulation.operators.goal import Intended
 from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY, SERVO
 from geort_drake.simulation.operators.simulated_operator import Person
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Signals, Stage, States, Target, Task
+from geort_drake.simulation.task import Signals, Stage, States, Task
 from geort_drake.simulation.view import add_monitor, add_view, shown_by
 from geort_drake.simulation.world import add_robot, finish_scene, joint_state
-from geort_drake.systems.stand import Stand
 
 
 @dc.dataclass(frozen=True, eq=False)
@@ -35,15 +34,11 @@ class Handled:
         body: the body that the person sees and touches.
         parts: other bodies that count as parts of it.
         joints: joints for the monitor's input port `joints`, which gets their positions, then velocities.
-        X_WO: initial pose of a free body, in which a stand holds it for the setting `ready_time`.
-        outline: see `Target`; None unless the body is drawn at the monitor's `target_pose`, too.
     """
 
     body: RigidBody
     parts: Sequence[RigidBody] = ()
     joints: Sequence[Joint] = ()
-    X_WO: RigidTransform | None = None
-    outline: np.ndarray | None = None
 
 
 class FingerTask(Task[Intended]):
@@ -104,30 +99,19 @@ class FingerTask(Task[Intended]):
         plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
         add_robot(plant, scenario, description)
         handled = self.add_handled(plant, goal, X_WB, rng)
-        body, model, stand = handled.body, handled.body.model_instance(), None
-        falling = None if handled.X_WO is None else model
-        scene = finish_scene(plant, scene_graph, scenario, description, falling)
-        view = add_view(builder, scene, description, body, handled.parts)
-        brake = plant.get_desired_state_input_port(model)
+        scene = finish_scene(plant, scene_graph, scenario, description)
+        view = add_view(builder, scene, description, handled.body, handled.parts)
+        brake = plant.get_desired_state_input_port(handled.body.model_instance())
         if brake.size():  # the object's actuated joint is a brake
             zeros = builder.AddSystem(ConstantVectorSource(np.zeros(brake.size())))
             builder.Connect(zeros.get_output_port(), brake)
-        if handled.X_WO is not None:
-            stand = builder.AddNamedSystem("stand", Stand(body.index(), handled.X_WO, settings.ready_time))
-            for name in ("body_poses", "body_spatial_velocities"):
-                builder.Connect(plant.GetOutputPort(name), stand.GetInputPort(name))
-            builder.Connect(stand.get_output_port(), plant.get_applied_spatial_force_input_port())
         monitor = self.make_monitor(len(description.fingers), goal, X_WB, settings, rng)
         add_monitor(builder, f"{self.name}_monitor", monitor, view)
         if handled.joints:
             builder.Connect(joint_state(builder, plant, handled.joints), monitor.GetInputPort("joints"))
-        target = None
-        if handled.outline is not None:
-            target = Target(body, monitor.GetOutputPort("target_pose"), handled.outline)
         shown = shown_by(view, monitor, ("fingertips", "hand_pose", *self.percepts))
-        free = () if stand is None else (body,)
         states, signals = self.recorded(monitor, settings)
-        return Stage(scene, monitor, shown, states, free, signals, target, stand)
+        return Stage(scene, monitor, shown, states, signals=signals)
 
     def person(self, scenario: Scenario, hand: HumanHand, goal: Intended, rng: np.random.Generator) -> Person:
         config, intention = scenario.operator, scenario.intention

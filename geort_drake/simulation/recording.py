@@ -35,7 +35,7 @@ from geort_drake.versions import version_of
 HUMAN = "human"  # key of the person's hand
 # Tabs of the plots.
 _FINGERS, _ANGLES, _TORQUES = "fingers", "joint angles", "joint torques"
-_SEEN_COLOR, _PATH_COLOR, _TARGET_COLOR = (255, 255, 255, 110), (235, 235, 235), (90, 220, 120)
+_SEEN_COLOR, _PATH_COLOR = (255, 255, 255, 110), (235, 235, 235)
 _HUMAN_HAND_LENGTH = 0.18  # m
 _PACKAGES = {"drake": "drake", "rerun": "rerun-sdk", "numpy": "numpy", "torch": "torch"}
 
@@ -123,14 +123,6 @@ def add_grasp_recorder(
     )
     for body in stage.bodies:
         specs["object/path"] = _path(plant, body)
-    if stage.target is not None:
-        outline = stage.target.outline
-        specs["target"] = PointsSpec(
-            stage.target.pose,
-            radius=0.001,
-            color=_TARGET_COLOR,
-            derive=lambda X: _placed(X, outline).reshape(len(X), -1),
-        )
     if seen:
         start = scenario.operator.visual_delay
         specs["seen/fingertips"] = PointsSpec(seen["fingertips"], None, 0.008, _SEEN_COLOR, start=start)
@@ -160,13 +152,6 @@ def add_grasp_recorder(
             **properties,
         },
     )
-
-
-def _placed(X_WO: np.ndarray, p_OQ: np.ndarray) -> np.ndarray:
-    """Transforms points p_OQ (N, 3) by poses (T, 7), qw qx qy qz x y z, into p_WQ (T, N, 3), m."""
-    w, v = X_WO[:, None, :1], X_WO[:, None, 1:4]
-    half = np.cross(v, p_OQ)
-    return p_OQ + 2 * (w * half + np.cross(v, half)) + X_WO[:, None, 4:]
 
 
 def _joint_signals(

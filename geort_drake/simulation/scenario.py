@@ -65,8 +65,6 @@ class RecordingConfig:
 
     # Time between recorded frames, s.
     period: float = 0.02
-    # Ignored; it lets older scenario files load.
-    public_meshes: bool = False
 
 
 @dc.dataclass

@@ -140,7 +140,6 @@ def load_scenario(
         raise ScenarioError(f"scenario file {path} must map names to scenarios: {fault_of(error)}") from error
     if not isinstance(node, yaml.MappingNode):
         raise ScenarioError(f"scenario file {path} must map names to scenarios")
-    _refuse_duplicates(node, str(path))
     choices = {key.value: content for key, content in node.value}
     if name not in choices:
         raise UnknownNameError(f"scenario in {path}", name, choices)
@@ -166,7 +165,6 @@ def _merged(path: Path, name: str, text: str | None, defaults: Scenario) -> Scen
         if text:
             source = f"text merged into {source}"
             node = yaml.compose(text, Loader=yaml.SafeLoader)
-            _refuse_duplicates(node, source)
             _check_fields(node, source)
             scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
     except ScenarioError:
@@ -181,24 +179,3 @@ def _check_fields(node: yaml.Node | None, source: str) -> None:
         check_fields(node, Scenario)
     except ValueError as error:
         raise ScenarioError(f"{source}: {error}") from error
-
-
-def _refuse_duplicates(root: yaml.Node | None, source: str) -> None:
-    """Raises ScenarioError if a mapping has a key twice; YAML loaders silently take the last one."""
-    waiting, seen = [root], set()
-    while waiting:
-        node = waiting.pop()
-        if id(node) in seen:  # an alias may contain itself
-            continue
-        seen.add(id(node))
-        if isinstance(node, yaml.MappingNode):
-            names = [str(key.value) for key, _ in node.value]
-            for name in names:
-                if names.count(name) > 1:
-                    line = node.start_mark.line + 1
-                    raise ScenarioError(
-                        f"{source}: '{name}' is given twice in the mapping from line {line} on"
-                    )
-            waiting.extend(value for _, value in node.value)
-        elif isinstance(node, yaml.SequenceNode):
-            waiting.extend(node.value)

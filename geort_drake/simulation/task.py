@@ -21,7 +21,6 @@ from geort_drake.simulation.operators.goal import Intended
 from geort_drake.simulation.operators.simulated_operator import Person
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import Scene
-from geort_drake.systems.stand import Stand
 
 
 class PerceivedPort(NamedTuple):
@@ -29,20 +28,6 @@ class PerceivedPort(NamedTuple):
 
     port: OutputPort
     mirror: np.ndarray | None = None
-
-
-class Target(NamedTuple):
-    """The target pose of a body, drawn as a translucent copy.
-
-    Attributes:
-        body: the body, with frame O.
-        pose: port with the target X_WO, qw qx qy qz x y z.
-        outline: (N, 3) points on the body in O, m, drawn in its place in recordings.
-    """
-
-    body: RigidBody
-    pose: OutputPort
-    outline: np.ndarray
 
 
 # For recordings: name → port with the number of a state, and the states' names; name → port, names of its
@@ -61,8 +46,6 @@ class Stage:
         shown: name of the person's input port → the port that it perceives.
         states, signals: states and signals to record.
         bodies: free bodies whose path is recorded, and that are transparent in close-ups.
-        target: target pose to draw, if any.
-        stand: holds a body until the person is ready.
     """
 
     scene: Scene
@@ -71,14 +54,10 @@ class Stage:
     states: States
     bodies: Sequence[RigidBody] = ()
     signals: Signals = dc.field(default_factory=dict)
-    target: Target | None = None
-    stand: Stand | None = None
 
     def restart(self, root: Context) -> None:
         """Restarts the task at the present time, when the person is ready."""
         self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
-        if self.stand is not None:
-            self.stand.restart(self.stand.GetMyMutableContextFromRoot(root))
 
 
 @dc.dataclass(frozen=True)

@@ -44,7 +44,7 @@ def shown_by(view: SceneView, monitor: TaskMonitor, names: Iterable[str]) -> dic
     """Returns output ports of the view, or else of the monitor, with the signs that mirror them."""
     mirrors = {
         "fingertips": np.tile(POINT_MIRROR, view.GetOutputPort("fingertips").size() // 3),
-        **dict.fromkeys(("hand_pose", "object_pose", "target_pose", "place_pose"), POSE_MIRROR),
+        **dict.fromkeys(("hand_pose", "object_pose", "place_pose"), POSE_MIRROR),
         "turned": np.array([-1.0]),
     }
     systems = {name: view if view.HasOutputPort(name) else monitor for name in names}

@@ -32,7 +32,7 @@ from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.python_system import PythonSystem
 
 FRAME_PERIOD = 0.032  # s; gives at least 30 frames a second
-_GREY, _TARGET_OPACITY = [0.75, 0.75, 0.78, 1.0], 0.35
+_GREY = [0.75, 0.75, 0.78, 1.0]
 _GROUND_M = 2.0  # side of the square that stands for a half space
 # Eye and target of the camera: over the robot's shoulder, so that left is left; for a parked hand, near it.
 _CAMERA = np.array([-0.45, -0.55, 0.85]), np.array([0.5, 0.0, 0.2])
@@ -54,14 +54,12 @@ class Scene:
         description: contents of `/scene`, except the scene's number.
         meshes: contents of `/mesh/N`.
         moving: indices of the bodies that move, in the order of a frame.
-        has_target: whether the target's pose follows them.
 
     Args:
         plant: finalized plant.
         inspector: inspector of its scene graph.
         hand: description of its hand.
         parked: whether the arm stays in place.
-        target: body that is drawn again, translucent, at its target pose.
     """
 
     def __init__(
@@ -70,9 +68,8 @@ class Scene:
         inspector: SceneGraphInspector,
         hand: HandDescription,
         parked: bool = False,
-        target: RigidBody | None = None,
     ):
-        self._inspector, self.has_target = inspector, target is not None
+        self._inspector = inspector
         self.meshes: list[bytes] = []
         self.moving: list[BodyIndex] = []
         base = plant.GetFrameByName(hand.base_frame, plant.GetModelInstanceByName(HAND))
@@ -92,12 +89,6 @@ class Scene:
                     item = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
                     geometries.append(item | shape)
         names = [plant.get_body(index).scoped_name().get_full() for index in self.moving]
-        if target is not None:
-            own = [item for item in geometries if item["moving"] == self.moving.index(target.index())]
-            geometries += [
-                item | {"moving": len(names), "color": [*item["color"][:3], _TARGET_OPACITY]} for item in own
-            ]
-            names.append("target")
         p_WB = base.CalcPoseInWorld(defaults).translation()
         eye, target = (p_WB + offset for offset in _NEAR) if parked else _CAMERA
         self.description = {
@@ -162,7 +153,6 @@ class PoseStream(PythonSystem):
 
     Input ports:
         body_poses (abstract list of RigidTransform): X_WB of all bodies of the scene's plant.
-        target_pose (7): pose of the scene's target, qw qx qy qz x y z; only if it has one.
 
     Args:
         scene: scene whose bodies move.
@@ -182,7 +172,6 @@ class PoseStream(PythonSystem):
         self._moving, self._p_HK, self._send = [int(index) for index in scene.moving], p_HK, send
         self._mirror = side == "left"
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
-        self._target = self.DeclareVectorInputPort("target_pose", 7) if scene.has_target else None
         self.DeclarePeriodicPublishEvent(FRAME_PERIOD, 0.0, self._publish)
 
     def _publish(self, context: Context) -> EventStatus:
@@ -190,8 +179,6 @@ class PoseStream(PythonSystem):
         p = self._p_HK()
         points = np.full((21, 3), np.nan) if p is None else mirrored(p) if self._mirror else p
         parts = [pose_to_vector(poses[index]) for index in self._moving]
-        if self._target is not None:
-            parts.append(self._target.Eval(context))
         frame = np.concatenate([[context.get_time()], *parts, points.ravel()])
         self._send(frame.astype("<f4").tobytes())
         return EventStatus.Succeeded()

@@ -127,9 +127,9 @@ class WebTeleoperation:
             scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
             robot = SimulatedRobot(scenario, description, model)
             start = robot.hand.start, robot.arm.start
-            shown, target = robot.stage.scene, robot.stage.target
+            shown = robot.stage.scene
             inspector = shown.scene_graph.model_inspector()
-            scene = Scene(shown.plant, inspector, description, scenario.fixed_base, target and target.body)
+            scene = Scene(shown.plant, inspector, description, scenario.fixed_base)
         else:
             robot, start = self.link, self.link.handshake(timeout)
             standing = self.model.standing_at({})
@@ -153,8 +153,6 @@ class WebTeleoperation:
                         robot.GetOutputPort(f"{name}_state"), source.GetInputPort(f"{name}_state")
                     )
             builder.Connect(source.GetOutputPort("body_poses"), stream.GetInputPort("body_poses"))
-            if scene.has_target:
-                builder.Connect(robot.GetOutputPort("target_pose"), stream.GetInputPort("target_pose"))
 
         # The joints of a real robot are recorded, because a replay cannot reproduce them.
         kept = {} if self.link is None else robot_joints(description, model)
