@@ -1,31 +1,56 @@
-"""Finds human fingertips for a given robot posture, by gradients through the map."""
+"""Finds human fingertips for a given robot posture, by gradients through the map in a Drake system."""
 
 import numpy as np
-from pydrake.autodiffutils import AutoDiffXd
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.solvers import MathematicalProgram, Solve
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
 
 from geort_drake import load_retargeter
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.systems.retargeting_map import RetargetingMap
+
+
+@TemplateSystem.define("RetargetingMap_", T_list=[float, AutoDiffXd])
+def RetargetingMap_(T):
+    class Impl(LeafSystem_[T]):
+        """Maps fingertips p_HF (3F), m, to joint positions (n), rad, without memory, checks or limits."""
+
+        def _construct(self, retarget, converter=None):
+            super().__init__(converter=converter)
+            self.retarget = retarget
+            self.DeclareVectorInputPort("fingertips", 3 * len(retarget.finger_names))
+            self.DeclareVectorOutputPort("positions", len(retarget.joint_names), self.calc)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, other.retarget, converter=converter)
+
+        def calc(self, context, output):
+            p_HF = self.get_input_port().Eval(context)
+            if T is AutoDiffXd:
+                q, J = self.retarget.value_and_jacobian(ExtractValue(p_HF).reshape(-1, 3))
+                gradient = J.reshape(len(q), -1) @ ExtractGradient(p_HF)
+                output.SetFromVector(InitializeAutoDiff(q, gradient).ravel())
+            else:
+                output.SetFromVector(self.retarget(p_HF.reshape(-1, 3)))
+
+    return Impl
+
 
 open_hand = HumanHand.anatomical().keypoints(np.zeros(20))
 retarget = load_retargeter("allegro_right").for_person(open_hand)
-tips = [4, 8, 12, 16]
-systems = {float: RetargetingMap(retarget)}
-systems[AutoDiffXd] = systems[float].ToAutoDiffXd()
-contexts = {T: system.CreateDefaultContext() for T, system in systems.items()}
+system = RetargetingMap_[float](retarget)
+systems = {np.dtype(float): system, np.dtype(object): system.ToAutoDiffXd()}
+contexts = {dtype: each.CreateDefaultContext() for dtype, each in systems.items()}
 
 
 def positions(p_HF):
     """Returns joint positions (16,), rad, for twelve fingertip coordinates, m, as float or AutoDiffXd."""
-    T = AutoDiffXd if p_HF.dtype == object else float
-    keypoints = np.zeros((21, 3), dtype=p_HF.dtype) + p_HF[0] * 0
-    keypoints[tips] = p_HF.reshape(4, 3)
-    systems[T].get_input_port().FixValue(contexts[T], keypoints.ravel())
-    return systems[T].get_output_port().Eval(contexts[T])
+    dtype, context = p_HF.dtype, contexts[p_HF.dtype]
+    systems[dtype].get_input_port().FixValue(context, p_HF)
+    return systems[dtype].get_output_port().Eval(context)
 
 
-start = open_hand[tips].ravel()
+start = open_hand[list(retarget.human_keypoints)].ravel()
 target = positions(start + 0.005)
 
 program = MathematicalProgram()

@@ -22,7 +22,7 @@ Systems for Drake diagrams:
 Rerun:
     add_rerun_recorder: records any diagram with a plant and scene graph.
     SignalSpec, StateSpec: vector ports to record as plots, or as lanes of named states.
-    HandSpec, PointsSpec, ContactSpec, CameraSpec, CloseUpSpec: hands, points, contacts and views to record.
+    HandSpec, PointsSpec, ContactSpec, CloseUpSpec: hands, points, contacts and views to record.
 Simulation:
     load_scenario: loads a grasp scenario from YAML.
     make_trial_diagram: builds a scenario's diagram.
@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     from geort_drake.people.play import synthesize_play as synthesize_play
     from geort_drake.people.readers import read_recording as read_recording
     from geort_drake.people.recording import Recording as Recording
-    from geort_drake.rerun import CameraSpec as CameraSpec
     from geort_drake.rerun import CloseUpSpec as CloseUpSpec
     from geort_drake.rerun import ContactSpec as ContactSpec
     from geort_drake.rerun import HandSpec as HandSpec
@@ -74,7 +73,6 @@ _MODULES = {
     "Retargeter": "retargeting.retargeter",
     "RetargetingSystem": "systems.retargeting_system",
     "WristToArm": "systems.wrist_to_arm",
-    "CameraSpec": "rerun",
     "CloseUpSpec": "rerun",
     "ContactSpec": "rerun",
     "HandSpec": "rerun",

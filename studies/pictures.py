@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 from rich.progress import track
+from screenshots import photographs
 
 from geort_drake.cli.options import CommandParser
 from geort_drake.console import console, run_main
@@ -28,7 +29,7 @@ TOP, BOTTOM = 37, 30
 FILM_PART = (0.0, 0.075, 1.0, 0.484)
 FILM_HZ, FILM_WIDTH, FILM_QUALITY = 8, 1200, 60
 EPILOG = """\
-Everything is recorded from scratch, which takes as long as one training and one grasp. On a machine without a
+Everything is recorded from scratch, which takes some minutes. On a machine without a
 graphics card, Rerun's viewer draws with Mesa's software driver (apt-get install mesa-vulkan-drivers).
 """
 
@@ -60,8 +61,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         metavar="NAME",
         help=f"pictures to make, of {', '.join(PICTURES)} (default: all)",
     )
-    add("--recording", type=Path, metavar="FILE", help="recording to train on (default: synthetic play)")
-    add("--retargeter", type=Path, metavar="DIR", help="checkpoint to use (default: one trained now)")
+    add("--recording", type=Path, metavar="FILE", help="recording to explore (default: synthetic play)")
+    add("--retargeter", metavar="NAME", default="universal", help="method or checkpoint (default: universal)")
     add(
         "--glove",
         type=Path,
@@ -125,10 +126,8 @@ def check(recording: Path) -> None:
 
 def photograph(recording: Path, picture: Path, time: float | None) -> None:
     """Writes a small .png of a recording, without the viewer's controls."""
-    from geort_drake.rerun import take_screenshot
-
-    take_screenshot(recording, picture, time=time, size=SIZE)
-    with Image.open(picture) as whole:
+    (shot,) = photographs(recording, lambda end: [end if time is None else time], SIZE)
+    with Image.open(io.BytesIO(shot)) as whole:
         shrink(whole.convert("RGB").crop((0, TOP, whole.width, whole.height - BOTTOM)), picture)
 
 
@@ -142,13 +141,9 @@ def shrink(image: Image.Image, picture: Path) -> None:
 
 def film(recording: Path, picture: Path) -> None:
     """Writes a small animated .webp of the views of a recording's scene, in real time."""
-    from geort_drake.rerun.screenshot import camera
-
-    with camera(recording, SIZE) as opened:
-        times = np.arange(0, opened.end, 1 / FILM_HZ)
-        shots = [opened.take(time) for time in track(times, "frames", console=console)]
+    shots = photographs(recording, lambda end: np.arange(0, end, 1 / FILM_HZ), SIZE)
     frames = []
-    for shot in shots:
+    for shot in track(shots, "frames", console=console):
         with Image.open(io.BytesIO(shot)) as whole:
             part = whole.convert("RGB").crop((np.array(FILM_PART) * (whole.size * 2)).astype(int).tolist())
         part.thumbnail((FILM_WIDTH, FILM_WIDTH), Image.Resampling.LANCZOS)
@@ -162,27 +157,15 @@ def film(recording: Path, picture: Path) -> None:
         )  # fmt: skip
 
 
-def record_training(folder: Path, arguments: argparse.Namespace) -> None:
-    """Records a training, whose checkpoint the other recordings use."""
-    run(
-        "train_retargeter",
-        *_recording(arguments),
-        "--output",
-        checkpoint(folder),
-        "--rrd",
-        folder / "training.rrd",
-    )
-
-
 def record_explorer(folder: Path, arguments: argparse.Namespace) -> None:
-    """Records the trained method and an untrained one in the explorer."""
-    methods = ["--methods", retargeter(folder, arguments), "vector_online"]
+    """Records a map and an untrained method in the explorer."""
+    methods = ["--methods", arguments.retargeter, "vector_online"]
     run("explore_retargeting", *_recording(arguments), *methods, "--output", folder / "explorer.rrd")
 
 
 def record_grasp(folder: Path, arguments: argparse.Namespace) -> None:
     """Records a trial with the object that the README shows."""
-    options = ["--objects", "cylinder", "--retargeter", retargeter(folder, arguments), *_recording(arguments)]
+    options = ["--objects", "cylinder", "--retargeter", arguments.retargeter, *_recording(arguments)]
     run("simulate_grasp", *options, "--output", folder / "grasp")
 
 
@@ -252,7 +235,6 @@ def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
 
 
 PICTURES = {
-    "training": Picture(record_training, "training.rrd"),
     "explorer": Picture(record_explorer, "explorer.rrd", 4.0),
     "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
@@ -279,20 +261,6 @@ def run(script: str, *options: str | os.PathLike) -> None:
     command = [sys.executable, str(ROOT / "scripts" / f"{script}.py"), *map(str, options), *quiet]
     if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode:
         raise GeortError(f"{script}.py did not finish")
-
-
-def checkpoint(folder: Path) -> Path:
-    """Returns the directory of the checkpoint of `record_training`."""
-    return folder / "geort_coupled"  # the name that the explorer shows
-
-
-def retargeter(folder: Path, arguments: argparse.Namespace) -> Path:
-    """Returns the checkpoint to use; trains one if there is none."""
-    if arguments.retargeter is not None:
-        return arguments.retargeter
-    if not checkpoint(folder).is_dir():
-        record_training(folder, arguments)
-    return checkpoint(folder)
 
 
 def _recording(arguments: argparse.Namespace) -> list:

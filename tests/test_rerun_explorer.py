@@ -1,12 +1,11 @@
-"""The retargeting explorer, and the recording of a training."""
+"""The retargeting explorer."""
 
 import numpy as np
 import pytest
 from rerun_world import entities, read, rerun
 
 from geort_drake import Recording, load_retargeter
-from geort_drake.cli import run_command
-from geort_drake.comparison import metrics, training_recording
+from geort_drake.comparison import metrics
 from geort_drake.comparison.exploration import (
     excerpt,
     find_pinches,
@@ -112,28 +111,3 @@ def test_a_map_for_everyone_is_shown_while_it_follows_the_person(tmp_path, alleg
         times, places = read(path, f"/world/{entity}/places", "Points3D:positions")
         np.testing.assert_allclose(times, hands.t[adaptation.rows], atol=1e-9)
         np.testing.assert_allclose(places[-1], expected[-1], atol=1e-6)
-
-
-@pytest.mark.usefixtures("light_evaluation")
-def test_a_training_is_the_same_when_it_is_recorded(tmp_path, play, allegro, monkeypatch):
-    """Its weights are; losses, criteria and the robot hand are recorded step by step up to the final map."""
-    monkeypatch.setattr(training_recording, "_SAMPLES", 2000)
-    play.save(tmp_path / "play.npz")
-    common = ["--recording", str(tmp_path / "play.npz"), "--robot-samples", "1000", "--steps", "5", "--quiet"]
-    path = tmp_path / "training.rrd"
-    for name, more in (("plain", []), ("seen", ["--rrd", str(path)])):
-        assert run_command("train", [*common, "--output", str(tmp_path / name), *more]) == 0
-    plain, seen = ((tmp_path / name / "weights.safetensors").read_bytes() for name in ("plain", "seen"))
-    assert plain == seen
-    assert rerun("rrd", "verify", path).returncode == 0
-    steps, closed = read(path, "/criteria/pinch", "Scalars:scalars", timeline="step")
-    assert (steps[0], steps[-1]) == (1, 5) and ((np.array(closed) >= 0) & (np.array(closed) <= 1)).all()
-    for loss in (entity for entity in entities(path) if entity.startswith("/losses/")):
-        steps, values = read(path, loss, "Scalars:scalars", timeline="step")
-        assert steps[0] == 0 and np.isfinite(values).all()
-    # The thumb's lattice at the end is in the final map's image of the hands that it is made of.
-    thumb = allegro.finger_names[0]
-    _, lattices = read(path, f"/world/robot/lattice/{thumb}", "LineStrips3D:strips", timeline="step")
-    lattice = training_recording.Lattice(play.fingertips(allegro.description.human_keypoints), 0)
-    q = load_retargeter(tmp_path / "seen", allegro)(lattice.hands)
-    np.testing.assert_allclose(lattices[-1], lattice.segments(allegro.fingertips(q)[:, 0]), atol=1e-5)

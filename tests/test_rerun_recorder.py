@@ -16,9 +16,9 @@ from rerun_world import GRAVITY, World, constant, entities, read, rerun, steps
 from scipy.spatial.transform import Rotation
 
 from geort_drake import CloseUpSpec, PointsSpec, SignalSpec, StateSpec, add_rerun_recorder
-from geort_drake.errors import OutputError, RecordingError, ScenarioError
+from geort_drake.errors import OutputError, ScenarioError
 from geort_drake.live.transports import wait_for
-from geort_drake.rerun import RerunRecorder, recorder, take_screenshot
+from geort_drake.rerun import RerunRecorder, recorder
 from geort_drake.rerun.layout import Layout
 
 
@@ -52,21 +52,6 @@ def test_equal_simulations_give_equal_recordings(tmp_path):
     other = tmp_path / "other" / "trial.rrd"
     World(height=0.07).finalize().record(other, properties={"seed": 3}, until=0.2)
     assert rerun("rrd", "compare", "--unordered", paths[0], other).returncode != 0
-
-
-def test_a_screenshot_is_a_picture_or_a_reason(tmp_path, monkeypatch):
-    """Without a graphics driver the error says what to install; a missing file is named."""
-    monkeypatch.setattr("geort_drake.rerun.screenshot._NOTICE", 0.0)
-    world = World().finalize().record(tmp_path / "seen.rrd", until=0.1)
-    picture = tmp_path / "pictures" / "seen.png"
-    with pytest.raises(RecordingError, match="no such recording"):
-        take_screenshot(tmp_path / "missing.rrd", picture)
-    try:
-        take_screenshot(world.recorder.path, picture, size=(320, 240))
-    except RecordingError as error:
-        assert "mesa-vulkan-drivers" in str(error) and not picture.exists()
-    else:
-        assert picture.read_bytes().startswith(b"\x89PNG")
 
 
 def test_properties_keep_their_types_from_one_recording_to_the_next(tmp_path):

@@ -3,39 +3,32 @@
 import io
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from pydrake.common.value import AbstractValue
 from pydrake.geometry import (
     AddContactMaterial,
     Box,
     Capsule,
-    ClippingRange,
-    ColorRenderCamera,
     Convex,
     Cylinder,
     Ellipsoid,
     Mesh,
     MeshcatCone,
     ProximityProperties,
-    RenderCameraCore,
     Role,
     Sphere,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import CoulombFriction
 from pydrake.multibody.tree import FixedOffsetFrame, SpatialInertia
-from pydrake.systems.framework import LeafSystem
-from pydrake.systems.sensors import CameraInfo, ImageRgba8U
 from rerun.chunk import RrdReader
 from rerun_world import GRAVITY, MASS, World, constant, entities, pose_source, read, steps
 from scipy.spatial.transform import Rotation
 
-from geort_drake import CameraSpec, CloseUpSpec, ContactSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
+from geort_drake import CloseUpSpec, ContactSpec, HandSpec, PointsSpec, SignalSpec, StateSpec
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import BONES
 
@@ -333,48 +326,6 @@ def test_ports_that_do_not_fit_are_refused(tmp_path, key, spec, message):
     with pytest.raises(ScenarioError, match=f"'{key}'.*{message}"):
         world.record(tmp_path / "no.rrd", **options)
     assert world.builder.GetSystems() == systems
-
-
-class RedPictures(LeafSystem):
-    """A camera's images, of nothing but red, and how many were taken."""
-
-    def __init__(self):
-        super().__init__()
-        self.taken = 0
-        picture = AbstractValue.Make(ImageRgba8U(64, 48))
-        self.DeclareAbstractOutputPort("color_image", picture.Clone, self._take)
-
-    def _take(self, _context, image):
-        self.taken += 1
-        image.get_mutable_value().mutable_data[:] = [255, 0, 0, 255]
-
-
-def test_cameras_give_images_and_poses(tmp_path):
-    """A picture is taken at most once per period of its own, and is not rendered in between."""
-    world = World().finalize()
-    X_WB = RigidTransform(RollPitchYaw(np.pi, 0, 0.3), [0, 0, 0.2])
-    X_BC = RigidTransform([0.01, 0, 0])
-    pictures = world.builder.AddSystem(RedPictures())
-    core = RenderCameraCore("red", CameraInfo(64, 48, np.pi / 4), ClippingRange(0.1, 9), X_BC)
-    camera, stand = ColorRenderCamera(core), pose_source(world.builder, X_WB)
-    # What a recorder asks an `RgbdSensor` for, which itself needs a graphics driver.
-    sensor = SimpleNamespace(
-        color_image_output_port=pictures.get_output_port,
-        body_pose_in_world_output_port=lambda: stand,
-        default_color_render_camera=lambda: camera,
-    )
-    eye = CameraSpec(sensor, period=0.1)
-    world.record(tmp_path / "camera.rrd", specs={"eye": eye}, period=0.05, until=0.4)
-    times, seen = read(world.recorder.path, "/world/eye", "EncodedImage:blob")
-    np.testing.assert_allclose(times, np.arange(5) * 0.1, atol=1e-9)
-    assert pictures.taken == 5
-    picture = Image.open(io.BytesIO(np.asarray(seen[-1][0], dtype=np.uint8).tobytes()))
-    assert picture.size == (64, 48)
-    np.testing.assert_allclose(np.asarray(picture).reshape(-1, 3).mean(axis=0), [255, 0, 0], atol=3)
-    _, p_WC = read(world.recorder.path, "/world/eye", "Transform3D:translation")
-    np.testing.assert_allclose(p_WC[-1][0], (X_WB @ X_BC).translation(), atol=1e-6)
-    _, size = read(world.recorder.path, "/world/eye", "Pinhole:resolution")
-    assert size[0].tolist() == [[64, 48]]
 
 
 def test_contact_arrows_appear_with_the_contact_and_vanish_with_it(tmp_path):

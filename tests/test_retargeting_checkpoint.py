@@ -5,14 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from faults.sound import JOINTS, TIPS, checkpoint, play, smooth_arrays, smooth_retargeter
-from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from faults.sound import TIPS, checkpoint, play, smooth_arrays
 
 from geort_drake import Retargeter, load_retargeter
-from geort_drake.errors import CheckpointError, GeortError, HandError
+from geort_drake.errors import CheckpointError
 from geort_drake.retargeting.checkpoint import REQUIRED, load_checkpoint
 from geort_drake.retargeting.trained_space import trained_points
-from geort_drake.systems.retargeting_map import RetargetingMap
 
 
 def test_a_checkpoint_comes_back_as_it_was(tmp_path, allegro, rng):
@@ -86,24 +84,3 @@ def test_a_checkpoint_tells_where_it_was_trained_and_an_older_one_still_loads(tm
     np.testing.assert_array_equal(new.trained_space.points, trained_points(PLAY.p_HK[:, list(TIPS)]))
     assert old.trained_space is None
     np.testing.assert_array_equal(new(HAND), old(HAND))
-
-
-def test_the_map_has_exact_gradients_in_autodiff():
-    """Those of the Jacobian, by joint name and keypoint; all other keypoints have none."""
-    tips = (4, 12, 8, 16)  # a hand's description may swap fingers
-    retarget = smooth_retargeter(tips=tips)
-    system = RetargetingMap(retarget, JOINTS[::-1])
-    context = system.CreateDefaultContext()
-    system.get_input_port().FixValue(context, HAND.ravel())
-    np.testing.assert_array_equal(system.get_output_port().Eval(context), retarget(HAND)[::-1])
-    differentiable = system.ToAutoDiffXd()
-    context = differentiable.CreateDefaultContext()
-    differentiable.get_input_port().FixValue(context, InitializeAutoDiff(HAND.ravel())[:, 0])
-    q = differentiable.get_output_port().Eval(context)
-    expected = np.zeros((16, 21, 3))
-    expected[:, list(tips)] = retarget.jacobian(HAND)[::-1]
-    np.testing.assert_allclose(ExtractGradient(q[:, None]).reshape(16, 21, 3), expected, atol=1e-12)
-    with pytest.raises(HandError, match="the retargeter moves"):
-        RetargetingMap(retarget, ("a",))
-    with pytest.raises(GeortError, match="its for_person"):
-        RetargetingMap(load_retargeter("allegro_right"))

@@ -55,15 +55,6 @@ def test_a_clean_stream_comes_out_as_the_bare_retargeter_gives_it():
     np.testing.assert_array_equal(touched, states == LIMITED)
 
 
-def test_steps_that_numba_compiles_are_the_same():
-    """Bit for bit, with joints that follow and joints that lag."""
-    pytest.importorskip("numba")
-    retarget = smooth_retargeter(10.0)
-    q, _ = answered(retarget)
-    retarget.backend = "numba"
-    np.testing.assert_array_equal(answered(retarget)[0], q)
-
-
 def hands(count: int, start: int = 0) -> np.ndarray:
     return PLAY.p_HK[start : start + count].astype(float)
 

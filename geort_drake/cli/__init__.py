@@ -32,7 +32,6 @@ COMMANDS = (
     "publish",
     "stand-in-robot",
     "export",
-    "screenshot",
 )
 _USAGE = "usage: geort-drake COMMAND ...\n       geort-drake COMMAND --help\n       geort-drake --version\n"
 

@@ -16,9 +16,7 @@ from geort_drake.cli.options import (
     CommandParser,
     at_least,
     finish,
-    output_file,
     output_folder,
-    view,
     write_json,
 )
 from geort_drake.errors import TrainingError
@@ -49,12 +47,11 @@ def add_arguments(parser: CommandParser) -> None:
     add("--robot-samples", type=at_least(1), default=100_000, help="number of random robot postures")
     setting = "change a setting of the method; repeatable; an unknown NAME lists all settings"
     add("--set", action="append", default=[], metavar="NAME=VALUE", help=setting)
-    add("--rrd", type=output_file(".rrd"), metavar="FILE.rrd", help="also record the training for Rerun")
     parser.add_json("the metrics")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import HandModel, load_hand, load_retargeter, train_checkpoint
+    from geort_drake import load_hand, train_checkpoint
     from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, warn
     from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
@@ -62,11 +59,6 @@ def run(arguments: argparse.Namespace) -> int:
     description = load_hand(arguments.hand)
     settings = _settings(arguments)
     recording = training_recording(arguments.recording, description.side, arguments.seed)
-    recorder = None
-    if arguments.rrd is not None:
-        from geort_drake.comparison.training_recording import TrainingRecorder
-
-        recorder = TrainingRecorder(HandModel(description), recording, arguments.seed)
     with warnings.catch_warnings():
         # The checkpoint stores the warnings, which are shown below.
         warnings.simplefilter("ignore", RuntimeWarning)
@@ -80,13 +72,9 @@ def run(arguments: argparse.Namespace) -> int:
             show_progress=not arguments.quiet,
             settings=settings,
             robot_samples=arguments.robot_samples,
-            report=None if recorder is None else recorder.observe,
         )
     provenance = load_checkpoint(path).provenance
     metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
-    if recorder is not None:
-        properties = {"method": arguments.method, "hand": metrics["hand"], "seed": arguments.seed}
-        recorder.write(arguments.rrd, load_retargeter(path), properties)
     spent = provenance["timings"]["fit_s"]
     title = f"{arguments.method} on {metrics['hand']}, seed {arguments.seed}, {spent:.0f} s"
     print_table(("metric", "value"), metric_rows(metrics), title)
@@ -94,7 +82,7 @@ def run(arguments: argparse.Namespace) -> int:
         warn(text)
     write_json(arguments.json, metrics)
     following = try_out(path, arguments.hand, arguments.recording)
-    finish({"Checkpoint": path}, view(arguments.rrd), following)
+    finish({"Checkpoint": path}, following)
     return 0 if provenance["training"]["stopped_at"] is None else 1
 
 

@@ -8,22 +8,19 @@ A recorder is a system in a diagram. It samples the bodies of a plant, and other
     with recorder:  # leaving the block writes the file
         simulator.AdvanceTo(5.0)
 
-`HandSpec`, `PointsSpec`, `StateSpec`, `ContactSpec`, `CameraSpec` and `CloseUpSpec` add human hands, points,
-named states, contact forces, camera images and views. Without a simulation, `file_writer` opens a `Writer`,
-whose methods send arrays over time. `take_screenshot` renders a recording as an image.
+`HandSpec`, `PointsSpec`, `StateSpec`, `ContactSpec` and `CloseUpSpec` add human hands, points, named states,
+contact forces and views. Without a simulation, `file_writer` opens a `Writer`, whose methods send arrays over
+time.
 """
 
 from geort_drake.rerun.add_recorder import add_rerun_recorder
-from geort_drake.rerun.camera import CameraSpec
 from geort_drake.rerun.plant import ContactSpec
 from geort_drake.rerun.recorder import RerunRecorder
-from geort_drake.rerun.screenshot import take_screenshot
 from geort_drake.rerun.specs import CloseUpSpec, HandSpec, PointsSpec, SignalSpec, Spec, StateSpec
 from geort_drake.rerun.streams import file_writer
 from geort_drake.rerun.writer import Writer
 
 __all__ = [
-    "CameraSpec",
     "CloseUpSpec",
     "ContactSpec",
     "HandSpec",
@@ -35,5 +32,4 @@ __all__ = [
     "Writer",
     "add_rerun_recorder",
     "file_writer",
-    "take_screenshot",
 ]

@@ -11,7 +11,6 @@ import rerun.blueprint as rrb
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
 from geort_drake.rerun import blueprint as views
-from geort_drake.rerun.camera import CameraSpec
 from geort_drake.rerun.plant import Poses
 from geort_drake.rerun.scene import Scene
 from geort_drake.rerun.specs import (
@@ -39,7 +38,7 @@ def _visible_past(seconds: float) -> rrb.VisibleTimeRanges:
 
 @dataclass(frozen=True)
 class Layout:
-    """Makes the default layout: views and images in a row, states below them, plots at the bottom.
+    """Makes the default layout: views in a row, states below them, plots at the bottom.
 
     Attributes:
         scene: bodies of the plant.
@@ -64,8 +63,6 @@ class Layout:
         target, eye = self._target_and_eye(poses, hands)
         shown = [views.scene_view(eye, target, overrides=trails)]
         shown += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
-        images = [entity_path(WORLD, key) for key in of(CameraSpec)]
-        shown += [rrb.Spatial2DView(origin=path, name=path.rsplit("/", 1)[-1]) for path in images]
         pages = _plots(of(SignalSpec))
         forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
         pages.setdefault(next(iter(pages), ""), []).insert(0, forces)

@@ -1,8 +1,7 @@
 """Limits of joint positions, speeds and accelerations, and steps towards targets within them."""
 
 import dataclasses as dc
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -37,15 +36,6 @@ def _speed_to_target(
     return speed, np.count_nonzero((low <= values) & (values <= high)) == values.size
 
 
-@functools.cache
-def _compiled_speed_to_target() -> Callable[..., tuple[np.ndarray, bool]]:
-    from numba import boolean, float64, njit, types
-
-    x = float64[::1]
-    signature = types.Tuple((x, boolean))(x, x, x, x, float64, x, x, x)
-    return njit(signature, cache=True)(_speed_to_target)
-
-
 @dc.dataclass(frozen=True)
 class JointLimits:
     """Limits of position, speed and acceleration of n joints.
@@ -68,7 +58,6 @@ class JointLimits:
     _bounds: dict[float, tuple[np.ndarray, ...]] = dc.field(
         init=False, repr=False, compare=False, default_factory=dict
     )
-    _speed_to_target = staticmethod(_speed_to_target)
 
     def __post_init__(self) -> None:
         names = ("lower", "upper", "speed", "acceleration")
@@ -112,12 +101,6 @@ class JointLimits:
             np.minimum(speeds, speed),
             acceleration,
         )
-
-    def compiled(self) -> "JointLimits":
-        """Returns the same limits, with steps compiled by numba; they give the same results, bit for bit."""
-        limits = dc.replace(self)
-        object.__setattr__(limits, "_speed_to_target", _compiled_speed_to_target())
-        return limits
 
     def start(self, positions: Mapping[str, float], joints: Sequence[str]) -> np.ndarray:
         """Returns initial positions (n,), rad, in the order of the limits, after checks.
@@ -166,7 +149,7 @@ class JointLimits:
         """
         # Fast path: a target within all limits is reached.
         bounds = self._fast_path_bounds(period)
-        speed, within = self._speed_to_target(q, v, target, target_before, period, *bounds)
+        speed, within = _speed_to_target(q, v, target, target_before, period, *bounds)
         if within and share == 1.0:
             return target, speed
         gain, lag = self.acceleration * period, target_before - q  # largest change of speed

@@ -111,8 +111,6 @@ class RetargetingSystem(PythonSystem):
         self._to_plant = np.array([list(joint_names).index(name) for name in actuated_joints])
         self._trained_space = getattr(retarget, "trained_space", None)
         self._limits = limits or self._limits_of(retarget)
-        if getattr(retarget, "backend", "") == "numba":
-            self._limits = self._limits.compiled()
         self.period = period = max(period, latency)
         self._blend = low_pass_factor(cutoff, period)
         self.delay = latency + period * (1.0 - self._blend) / self._blend
