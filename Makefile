@@ -2,6 +2,8 @@
 # make test:  install the test extra and run the tests.
 # make test-lowest, make test-newest: the same with the oldest and the newest versions of the dependencies,
 #             in .venv-lowest and .venv-newest; PYTHON=python3.13 chooses the interpreter.
+# make test-kernels: run the tests that train under each of torch's kernels that this processor has, with three
+#             seeds and a margin of two.
 # make wheel: build wheel and source distribution into dist/ and check them.
 # make live: build the live web page, which needs Node.js 20; NPM_ARGS= also fetches what its tests need.
 # make docs: build the documentation into site/, offline.
@@ -12,7 +14,7 @@ CONSTRAINTS ?= constraints.txt
 NPM_ARGS ?= --omit=dev
 BIN := $(VENV)/bin
 
-.PHONY: grasp test test-lowest test-newest lint wheel live docs pictures clean
+.PHONY: grasp test test-lowest test-newest test-kernels lint wheel live docs pictures clean
 
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
@@ -27,6 +29,9 @@ test-lowest:
 
 test-newest:
 	$(MAKE) test VENV=.venv-newest CONSTRAINTS=/dev/null
+
+test-kernels: $(VENV)/installed-test
+	$(BIN)/python tests/kernels.py
 
 live:
 	@command -v npm >/dev/null || { echo "make live needs Node.js 20 or newer, with npm"; exit 1; }

@@ -12,6 +12,34 @@ import pytest
 GLOVE_DIR = Path(__file__).resolve().parents[2] / "shared" / "glove"
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--training-seed", type=int, default=0, help="seed of the tests that train")
+    parser.addoption("--training-margin", type=float, default=1.0, help="margin of what trainings must reach")
+
+
+@pytest.fixture
+def training_seed(request) -> int:
+    return request.config.getoption("--training-seed")
+
+
+@pytest.fixture
+def reaches(request, record_property):
+    """Asserts that a figure of a training is below its limit, by the margin of --training-margin.
+
+    Weights depend on the seed and, after some steps, on the processor's kernels. `make test-kernels` runs the
+    tests with several of both and a margin of two.
+    """
+    margin = request.config.getoption("--training-margin")
+
+    def check(name: str, value: float, limit: float) -> None:
+        record_property(name, limit / value if value > 0 else np.inf)
+        assert value <= limit / margin, (
+            f"{name}: {value:.3g} is not below {limit:g} by a factor of {margin:g}"
+        )
+
+    return check
+
+
 def pytest_collection_finish() -> None:
     """Keeps what the modules have imported out of the collections of garbage that every trial makes."""
     gc.collect()
