@@ -6,6 +6,7 @@
 #             seeds and a margin of two.
 # make wheel: build wheel and source distribution into dist/ and check them.
 # make live: build the live web page, which needs Node.js 20; NPM_ARGS= also fetches what its tests need.
+# make tables: write the tables of the docs that come from the code.
 # make docs: build the documentation into site/, offline.
 # make pictures: record a training, a grasp and the like, and make the docs' pictures of them.
 PYTHON ?= python3
@@ -14,7 +15,7 @@ CONSTRAINTS ?= constraints.txt
 NPM_ARGS ?= --omit=dev
 BIN := $(VENV)/bin
 
-.PHONY: grasp test test-lowest test-newest test-kernels lint wheel live docs pictures clean
+.PHONY: grasp test test-lowest test-newest test-kernels lint wheel live docs tables pictures clean
 
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
@@ -39,6 +40,9 @@ live:
 
 pictures: $(VENV)/installed
 	$(BIN)/python studies/pictures.py $(ARGS)
+
+tables: $(VENV)/installed-docs
+	$(BIN)/cog -r -I docs -p 'from tables import *' $$(grep -rl '\[\[\[cog' docs --include=*.md)
 
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict

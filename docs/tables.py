@@ -1,0 +1,223 @@
+"""Tables in the pages that come from the code: `make tables` writes them, and a test compares them.
+
+A page marks such a table by a comment, in which cog (https://cog.readthedocs.io) runs one of these functions:
+
+    <!-- [[[cog cog.outl(fields_table("Scenario")) ]]] -->
+    <!-- [[[end]]] -->
+
+The result stands between the two lines and is committed, so that every page is whole wherever it is read.
+"""
+
+import ast
+import io
+import os
+import re
+import tokenize
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "geort_drake"
+
+
+def field_rows(name: str) -> list[tuple[list[str], list[str], str]]:
+    """Names, defaults and meaning of a dataclass's fields, read from its source and its comments."""
+    path, node = find_class(name)
+    lines = path.read_text("utf-8").splitlines()
+    comments = {
+        token.start[0]: token.string.lstrip("# ")
+        for token in tokenize.generate_tokens(io.StringIO("\n".join(lines)).readline)
+        if token.type == tokenize.COMMENT
+    }
+    inherited = {}
+    for base in node.bases:
+        if isinstance(base, ast.Name):
+            inherited = {row[0][0]: row[2] for row in field_rows(base.id)}
+    rows: list[tuple[list[str], list[str], str]] = []
+    shared = False  # whether the last row's comment stands above it, and so above the fields that follow
+    for item in node.body:
+        if not isinstance(item, ast.AnnAssign) or not isinstance(item.target, ast.Name):
+            continue
+        assert item.end_lineno is not None
+        line, above = item.lineno, []
+        while (line := line - 1) in comments and lines[line - 1].lstrip().startswith("#"):
+            above.insert(0, comments[line])
+        after = comments.get(item.end_lineno, "")
+        field, default = f"`{item.target.id}`", default_of(item.value)
+        if shared and not above and not after and "](" not in default:
+            rows[-1][0].append(field)
+            rows[-1][1].append(default)
+            continue
+        if "](" in default:
+            shared = False
+            rows.append(([field], ["–"], " ".join([*above, after, f"Fields: {default}."]).strip()))
+            continue
+        shared = bool(above)
+        rows.append(([field], [default], " ".join([*above, after]).strip() or inherited.get(field, "")))
+    return rows
+
+
+def program(name: str) -> str:
+    """A Python file of the repository in a fenced block, with its name as title."""
+    return f'```python title="{name}"\n{(ROOT / name).read_text("utf-8")}```'
+
+
+def fields_table(name: str) -> str:
+    """A Markdown table of a dataclass's fields."""
+    table = ["| field | default | meaning |", "|---|---|---|"]
+    for fields, defaults, meaning in field_rows(name):
+        shown = ", ".join(defaults) if len(set(defaults)) > 1 else defaults[0]
+        text = meaning.replace("|", "\\|")
+        text = text if re.match(r"(m|rad|s|N)\b|[^a-z]", text) else text[:1].upper() + text[1:]
+        table.append(f"| {', '.join(fields)} | {shown} | {text} |")
+    return "\n".join(table)
+
+
+def find_class(name: str) -> tuple[Path, ast.ClassDef]:
+    """The module of the package that defines a class, and its definition."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        text = path.read_text("utf-8")
+        if re.search(rf"^class {name}\b", text, re.MULTILINE):
+            for node in ast.parse(text).body:
+                if isinstance(node, ast.ClassDef) and node.name == name:
+                    return path, node
+    raise LookupError(f"no class {name} in geort_drake")
+
+
+def default_of(value: ast.expr | None) -> str:
+    """A field's default as code; for a nested dataclass a link to its own table."""
+    if value is None:
+        return "required"
+    if isinstance(value, ast.Call) and ast.unparse(value.func).endswith("field"):
+        (factory,) = (word.value for word in value.keywords if word.arg == "default_factory")
+        if isinstance(factory, ast.Lambda):
+            text = ast.unparse(factory.body)
+            return f"`{text}`" if len(text) < 40 else "see below"
+        name = ast.unparse(factory)
+        return {"list": "`[]`", "dict": "`{}`"}.get(name, f"[`{name}`](#{name.lower()})")
+    return f"`{ast.unparse(value)}`"
+
+
+def commands_table() -> str:
+    """A Markdown table of the subcommands and their summaries."""
+    rows = [f"| [`{name}`](#{name}) | {summary} |" for name, summary, _ in commands()]
+    return "\n".join(["| command | does |", "|---|---|", *rows])
+
+
+def commands_help() -> str:
+    """The help of every subcommand under a heading."""
+    return "\n\n".join(f"### {name}\n\n```text\n{text}```" for name, _, text in commands())
+
+
+def commands() -> list[tuple[str, str, str]]:
+    """Name, summary and help of every subcommand, in the order of `geort-drake --help`."""
+    from geort_drake.cli import COMMANDS, parser_of
+
+    os.environ["COLUMNS"] = "100"  # argparse's width
+    found = []
+    for name in COMMANDS:
+        parser = parser_of(name)
+        found.append((name, parser.description.splitlines()[0], parser.format_help()))
+    return found
+
+
+def protocol_table() -> str:
+    """A Markdown table of the capture protocol's steps."""
+    from geort_drake.people.protocol import STEPS
+
+    rows, start = ["| start | time | step | what to do |", "|---|---|---|---|"], 0.0
+    for step in STEPS:
+        clock = f"{start // 60:.0f}:{start % 60:02.0f}"
+        rows.append(f"| {clock} | {step.seconds:.0f} s | {step.name} | {step.instruction} |")
+        start += step.seconds
+    return "\n".join(rows)
+
+
+def parameters_table(kind: str, nominal: bool) -> str:
+    """A Markdown table of the parameters that conditions of grasp trials change."""
+    from geort_drake.benchmark import conditions
+    from geort_drake.simulation.scenario import Scenario
+
+    head = ["name", "what changes", *(["nominal"] if nominal else []), "default values"]
+    rows = [head, ["---"] * len(head)]
+    for name, parameter in getattr(conditions, kind).items():
+        values = ", ".join(f"{value:g}" for value in parameter.values)
+        own = [f"{parameter.nominal(Scenario()):g}"] if nominal else []
+        rows.append([f"`{name}`", parameter.label, *own, values])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def methods_table() -> str:
+    """A Markdown table of the retargeting methods."""
+    from geort_drake.retargeting.methods import all_methods
+
+    rows = [f"| `{name}` | {method.summary} |" for name, method in all_methods().items()]
+    return "\n".join(["| method | description |", "|---|---|", *rows])
+
+
+def packages_table() -> str:
+    """A Markdown table of the subpackages, in the order of their imports."""
+    rows = ["| subpackage | contents |", "|---|---|"]
+    for node in ast.parse((ROOT / "tests" / "test_layering.py").read_text("utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "SUBPACKAGES":
+            for name in ast.literal_eval(node.value):
+                module = ast.parse((PACKAGE / name / "__init__.py").read_text("utf-8"))
+                rows.append(f"| `{name}` | {(ast.get_docstring(module) or '').splitlines()[0]} |")
+    return "\n".join(rows)
+
+
+def formats_table() -> str:
+    """A Markdown table of the formats of recordings."""
+    from geort_drake.people.formats import FORMATS
+
+    rows = [f"| `{name}` | {entry.title} | {', '.join(entry.suffixes)} |" for name, entry in FORMATS.items()]
+    return "\n".join(["| format | contents | files |", "|---|---|---|", *rows])
+
+
+def tasks_table() -> str:
+    """A Markdown table of the benchmark's tasks."""
+    from geort_drake.simulation.tasks import find_task, task_names
+
+    tasks = [find_task(name) for name in task_names()]
+    rows = [f"| `{task.name}` | {task.summary} | {', '.join(task.kinds)} |" for task in tasks]
+    return "\n".join(["| task | what the person does | kinds of people |", "|---|---|---|", *rows])
+
+
+def objects_table() -> str:
+    """A Markdown table of the objects to grasp, with the extents of their collision geometry."""
+    import numpy as np
+    from pydrake.math import RigidTransform, RotationMatrix
+    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+    from pydrake.systems.framework import DiagramBuilder
+
+    from geort_drake.resources import object_names
+    from geort_drake.simulation.object_shape import object_shape
+    from geort_drake.simulation.tasks.grasp.contacts import grip_of
+    from geort_drake.simulation.world import add_object
+
+    rows = ["| object | grip | size, mm | mass, kg |", "|---|---|---|---|"]
+    for name in object_names():
+        plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
+        body = add_object(plant, name)
+        shape, extents = object_shape(plant, scene_graph.model_inspector(), body), []
+        for axis in np.eye(3):
+            ups = (RotationMatrix.MakeFromOneVector(up, 2) for up in (axis, -axis))
+            extents.append(-sum(shape.lowest_point(RigidTransform(R.inverse())) for R in ups))
+        size = " × ".join(f"{1e3 * extent:.0f}" for extent in extents)
+        rows.append(f"| `{name}` | {grip_of(name)} | {size} | {body.default_mass():g} |")
+    return "\n".join(rows)
+
+
+def hands_table() -> str:
+    """A Markdown table of the shipped hands."""
+    from geort_drake.hands.model import HandModel
+
+    rows = ["| name | joints | mass | tip radius | stiffness | torque limit |", "|---|---|---|---|---|---|"]
+    for path in sorted((ROOT / "models" / "hands").glob("*.yaml")):
+        hand = HandModel(path.stem)
+        motor = hand.plant.get_joint_actuator(hand.plant.GetJointActuatorIndices()[0])
+        mass = hand.plant.CalcTotalMass(hand.plant.CreateDefaultContext())
+        rows.append(
+            f"| `{path.stem}` | {len(hand.joint_names)} | {mass:.3f} kg | {1e3 * hand.tip_radius:.3g} mm "
+            f"| {motor.get_controller_gains().p:g} N·m/rad | {motor.effort_limit():g} N·m |"
+        )
+    return "\n".join(rows)
