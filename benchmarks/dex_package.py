@@ -1,5 +1,6 @@
 """Retargeters of the dex-retargeting package with the settings of our online baselines."""
 
+import runpy
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -7,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from geort_drake.hands.model import HandModel
-from geort_drake.hands.urdf import hand_urdf
 from geort_drake.retargeting.methods import online
 
+EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
 # Name of our method → type of the package's optimiser.
 TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
 
@@ -24,7 +25,7 @@ def make_dex_retargeter(name: str, hand: HandModel, huber_delta: float) -> Any:
 
     with tempfile.TemporaryDirectory() as folder:
         urdf = Path(folder) / "hand.urdf"
-        urdf.write_text(hand_urdf(hand), encoding="utf-8")
+        urdf.write_text(runpy.run_path(str(EXAMPLE))["hand_urdf"](hand), encoding="utf-8")
         settings = _settings(TYPES[name], urdf, hand.description, huber_delta)
         return RetargetingConfig.from_dict(settings).build()
 

@@ -1,6 +1,7 @@
 """Methods of one's own: a Python file, how it is called, its faults; and a module of a trained method."""
 
 import copy
+import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,11 +21,12 @@ from geort_drake.benchmark.records import TrialKey
 from geort_drake.benchmark.statistics import figures
 from geort_drake.comparison.retargeters import names_of
 from geort_drake.errors import BenchmarkError, MethodError
-from geort_drake.hands.urdf import hand_urdf
 from geort_drake.retargeting import methods
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.map_file import load_map, shipped_maps
 from geort_drake.simulation.scenario import dump_scenario
+
+DEX_EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
 
 FILE = """
 import time
@@ -140,7 +142,7 @@ def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):
     """Of the joints' names and limits too."""
     hand = allegro()
     plant = MultibodyPlant(0.0)
-    (tmp_path / "hand.urdf").write_text(hand_urdf(hand))
+    (tmp_path / "hand.urdf").write_text(runpy.run_path(str(DEX_EXAMPLE))["hand_urdf"](hand))
     Parser(plant).AddModels(str(tmp_path / "hand.urdf"))
     plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("base"))
     plant.Finalize()
@@ -156,8 +158,7 @@ def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):
 def test_a_method_of_another_package_answers(play):
     """dex-retargeting, by the example in the docs."""
     pytest.importorskip("dex_retargeting")
-    example = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
-    OwnMethod(example, "allegro_right").check(play.p_HK[0])
+    OwnMethod(DEX_EXAMPLE, "allegro_right").check(play.p_HK[0])
 
 
 MODULE = """
