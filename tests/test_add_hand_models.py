@@ -205,18 +205,14 @@ def test_training_and_guard_see_the_hulls_that_drake_sees(tmp_path):
     assert min(counts) > 100
 
 
-LFS_POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (b"short", "not a readable .stl mesh"),
         (MESHES["text.STL"].replace(b"vertex -", b"vertex nan"), "not a readable .stl mesh"),
         (None, "missing"),
-        (LFS_POINTER, "a Git LFS pointer.*git lfs pull"),
     ],
-    ids=["cut off", "not finite", "missing", "LFS pointer"],
+    ids=["cut off", "not finite", "missing"],
 )
 def test_an_unusable_mesh_is_named(content, message, tmp_path):
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
@@ -226,17 +222,6 @@ def test_an_unusable_mesh_is_named(content, message, tmp_path):
         convert_model(model, tmp_path / "copy", [])
     assert str(mesh) in str(error.value)
     assert not (tmp_path / "copy").exists()
-
-
-@pytest.mark.parametrize("file", ["hand.urdf", "palm.obj"])
-def test_a_git_lfs_pointer_is_named(file, tmp_path):
-    """In place of the model, or of a mesh that Drake reads."""
-    model = write_hand(tmp_path, HandSpec(3), changes={"<box .*?/>": '<mesh filename="palm.obj"/>'})
-    (tmp_path / "palm.obj").write_text(BOX.export(file_type="obj"))
-    description = propose(model).description
-    (tmp_path / file).write_bytes(LFS_POINTER)
-    with pytest.raises(HandError, match=rf"{file}: is a Git LFS pointer.*git lfs pull"):
-        HandModel(description)
 
 
 def tree(body: str, head: str = "") -> ET.Element:

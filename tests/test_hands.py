@@ -19,7 +19,6 @@ from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import CouplingDescription, HandDescription, write_description
 from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.simulation.world import add_scene
 from geort_drake.systems.scene_view import SceneView
 
@@ -72,9 +71,8 @@ def test_shipped_hands_start_free_and_pinch(name, digest):
     hand = HandModel(name)
     assert hand.digest.startswith(digest)
     assert not hand.collides(hand.default_position)
-    kinematics = NumpyKinematics(hand.kinematics())
     for number in range(1, len(hand.finger_names)):
-        assert nearest_pinch(kinematics, number) < 1.8 * hand.tip_radius
+        assert nearest_pinch(hand, number) < 1.8 * hand.tip_radius
 
 
 def test_a_mirrored_left_hand_equals_the_right_one(allegro, allegro_left, rng):

@@ -12,7 +12,7 @@ import pytest
 PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
 # Each may import those before it, and every single module of geort_drake/ such as files.py.
 SUBPACKAGES = [
-    "people", "retargeting", "hands", "systems", "rerun", "simulation",
+    "people", "hands", "retargeting", "systems", "rerun", "simulation",
     "comparison", "benchmark", "export", "live", "cli",
 ]  # fmt: skip
 

@@ -25,12 +25,10 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
-from geort_drake.files import require_fetched
 from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import HandDescription, load_hand, resolved_couplings
 from geort_drake.hands.model_files import (
     check_model_values,
-    mesh_elements,
     model_files,
     read_model,
     resolve_reference,
@@ -98,13 +96,9 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
     """Adds the only model of a file; searches its packages in the folders above it.
 
     Raises:
-        HandError: the file is not a single model that Drake can read, or contains bad values; or it or a mesh
-            is a Git LFS pointer.
+        HandError: the file is not a single model that Drake can read, or contains bad values.
     """
     tree = read_model(path)
-    for _, mesh in mesh_elements(path, tree):
-        if mesh.is_file():
-            require_fetched(mesh, HandError)
     parser = Parser(plant)
     parser.SetAutoRenaming(True)  # several hands of one model
     packages = parser.package_map()

@@ -1,7 +1,6 @@
 """Links, serial chains and fingertips of a hand in a Drake plant."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
@@ -13,9 +12,7 @@ from pydrake.systems.framework import Context
 from geort_drake.errors import HandError
 from geort_drake.hands.couplings import JointCouplings, followers
 from geort_drake.hands.description import FingerDescription, HandDescription
-
-if TYPE_CHECKING:
-    from geort_drake.retargeting.training.kinematics import FingerChain
+from geort_drake.hands.kinematics import FingerChain
 
 
 def joint_paths(plant: MultibodyPlant, model: ModelInstanceIndex) -> dict[BodyIndex, tuple[Joint, ...]]:
@@ -109,7 +106,7 @@ class PlantFingertips:
 
 def finger_chain(
     plant: MultibodyPlant, base: Frame, finger: FingerDescription, description: HandDescription, source: str
-) -> "FingerChain":
+) -> FingerChain:
     """Makes the serial chain of a finger, from the hand base to its tip.
 
     Args:
@@ -122,8 +119,6 @@ def finger_chain(
     Raises:
         HandError: the joints between base and tip are not exactly the finger's and their followers.
     """
-    from geort_drake.retargeting.training.kinematics import FingerChain  # loads PyTorch
-
     where = f"{source}: finger '{finger.name}'"
     couplings = {coupling.joint: coupling for coupling in followers(description)}
     tip = plant.GetBodyByName(finger.tip_link, base.model_instance())

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import (
@@ -21,10 +20,8 @@ from pydrake.geometry import (
 
 from geort_drake.errors import HandError
 from geort_drake.hands.chains import joint_paths
+from geort_drake.hands.kinematics import CollisionShapes
 from geort_drake.hands.model import HandModel
-
-if TYPE_CHECKING:
-    from geort_drake.retargeting.training.collision_geometry import CollisionShapes
 
 # For corrections: random postures, and those of them in which a pair must be near.
 POSTURES, NEAR_POSTURES = 600, 5
@@ -32,7 +29,7 @@ NEAR, FAR = 0.003, 0.02  # m; a pair is near up to the first distance, and is me
 QUANTILE = 1 / 3  # of the differences; the median misses twice as many collisions
 
 
-def collision_shapes(hand: HandModel) -> "CollisionShapes":
+def collision_shapes(hand: HandModel) -> CollisionShapes:
     """Returns the boxes and spheres of a hand, and the pairs of them that must not touch.
 
     Boxes and spheres stay the same. A cylinder becomes a box of equal length and cross-sectional area, and a
@@ -43,8 +40,6 @@ def collision_shapes(hand: HandModel) -> "CollisionShapes":
     Raises:
         HandError: the hand has a collision geometry of another kind.
     """
-    from geort_drake.retargeting.training.collision_geometry import CollisionShapes  # loads PyTorch
-
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
     moving = list(hand.kinematics().uncoupled()[0].joint_names)
@@ -89,7 +84,7 @@ def collision_shapes(hand: HandModel) -> "CollisionShapes":
 
 
 def _corrections(
-    hand: HandModel, shapes: "CollisionShapes", source: Sequence[GeometryId], is_mesh: np.ndarray
+    hand: HandModel, shapes: CollisionShapes, source: Sequence[GeometryId], is_mesh: np.ndarray
 ) -> np.ndarray:
     """Returns (P,) the difference, m, between Drake's distance and the gap of each pair with a mesh.
 
@@ -99,11 +94,6 @@ def _corrections(
         source: (S,) the geometry of each shape.
         is_mesh: (S,) whether it is a mesh.
     """
-    import torch  # takes a second
-
-    from geort_drake.retargeting.training.collision_geometry import CollisionGaps
-
-    q = hand.sample(POSTURES)
     # The parts of a geometry share its columns.
     columns: dict[frozenset[GeometryId], int] = {}
     column = np.array(
@@ -111,19 +101,46 @@ def _corrections(
     )
     distances, gaps = np.full((2, POSTURES, len(columns)), FAR)
     context = hand.contact_context()
-    for row, angles in enumerate(q):
-        for found in hand.query(angles, context).ComputeSignedDistancePairwiseClosestPoints(FAR):
+    kinematics, coupling = hand.kinematics().uncoupled()
+    a, b = shapes.pairs.T
+    for row, q in enumerate(hand.sample(POSTURES)):
+        for found in hand.query(q, context).ComputeSignedDistancePairwiseClosestPoints(FAR):
             number = columns.get(frozenset((found.id_A, found.id_B)))
             if number is not None:
                 distances[row, number] = min(found.distance, FAR)
-    rows, pairs, gap = CollisionGaps(hand.kinematics(), shapes).near(torch.tensor(q).float(), FAR)
-    np.minimum.at(gaps, (rows.numpy(), column[pairs.numpy()]), gap.numpy())
+        X_BJ = np.concatenate([kinematics.joint_poses(coupling @ q), np.eye(4)[None]])  # −1 is the base
+        X_BS = X_BJ[shapes.joint] @ shapes.X_JS
+        gap = _box_gap(X_BS[a], X_BS[b], shapes.half[a], shapes.half[b]) - (
+            shapes.radius[a] + shapes.radius[b]
+        )
+        np.minimum.at(gaps[row], column, gap)
     near = np.minimum(distances, gaps) < NEAR
     known = near.sum(0) >= NEAR_POSTURES
     correction = np.zeros(len(columns))
     difference = np.where(near, distances - gaps, np.nan)[:, known]
     correction[known] = np.nanquantile(difference, QUANTILE, axis=0)
     return np.where(is_mesh[shapes.pairs].any(1), correction[column], 0.0)
+
+
+def _box_gap(X_BA: np.ndarray, X_BC: np.ndarray, a: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """Returns (P,) the largest separation, m, of boxes A and C with half edges a and c (P, 3), m.
+
+    Over face normals, products of edges, and the direction from A's nearest point to C's centre, as
+    `CollisionGaps` does for training.
+    """
+    R_A, R_C, p_AC = X_BA[:, :3, :3], X_BC[:, :3, :3], X_BC[:, :3, 3] - X_BA[:, :3, 3]
+    edges = np.cross(R_A[:, :, :, None], R_C[:, :, None, :], axis=1).reshape(len(a), 3, 9)
+    t = np.einsum("pij,pi->pj", R_A, p_AC)
+    outside = np.einsum("pij,pj->pi", R_A, t - np.clip(t, -a, a))
+    axes = np.concatenate([R_A, R_C, edges, outside[:, :, None]], axis=2)
+    length = np.linalg.norm(axes, axis=1)
+    axes = axes / np.maximum(length, 1e-12)[:, None]
+    extent = sum(
+        np.einsum("pi,pik->pk", half, np.abs(np.einsum("pji,pjk->pik", R, axes)))
+        for R, half in ((R_A, a), (R_C, c))
+    )
+    gap = np.abs(np.einsum("pi,pik->pk", p_AC, axes)) - extent
+    return np.where(length > [*[0.0] * 6, *[np.sqrt(1e-3)] * 9, 1e-5], gap, -np.inf).max(axis=1)
 
 
 def _parts(shape: Shape, name: str) -> list[tuple[np.ndarray, tuple[float, float, float], float]]:

@@ -10,7 +10,7 @@ import yaml
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from geort_drake.errors import HandError, UnknownNameError
-from geort_drake.files import require_fetched, write_text
+from geort_drake.files import write_text
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import SIDES
 from geort_drake.resources import PACKAGE_NAME, hand_names, models_dir
@@ -234,7 +234,6 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
         raise UnknownNameError("hand", text, hand_names())
     if not path.is_file():
         raise HandError(f"the hand description {path} is missing")
-    require_fetched(path, HandError)
     try:
         check_fields(yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader), HandDescription)
         hand = yaml_load_typed(schema=HandDescription, filename=str(path))

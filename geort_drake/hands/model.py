@@ -5,7 +5,6 @@ import hashlib
 import json
 import os
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import (
@@ -30,12 +29,9 @@ from geort_drake.hands.assembly import (
 from geort_drake.hands.chains import PlantFingertips, finger_chain
 from geort_drake.hands.couplings import JointCouplings, position_limits
 from geort_drake.hands.description import FingerDescription, HandDescription, load_hand
+from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.hands.model_files import digest_of_contents, model_files
 from geort_drake.resources import resolve_uri
-from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
-
-if TYPE_CHECKING:
-    from geort_drake.retargeting.training.kinematics import HandKinematics
 
 
 class HandModel:
@@ -184,14 +180,12 @@ class HandModel:
         context = self.plant.GetMyContextFromRoot(self._contact_context)
         return self.plant.CalcPointsPositions(context, self._mount, np.zeros(3), self._base)[:, 0]
 
-    def kinematics(self) -> "HandKinematics":
-        """Returns the fingers as serial chains in PyTorch.
+    def kinematics(self) -> HandKinematics:
+        """Returns the fingers as serial chains.
 
         Raises:
             HandError: the joints that a finger lists are not those between the hand base and its tip.
         """
-        from geort_drake.retargeting.training.kinematics import HandKinematics  # loads PyTorch
-
         return HandKinematics(
             fingers=tuple(
                 finger_chain(self.plant, self._base, finger, self.description, self._source)
@@ -243,10 +237,9 @@ class HandModel:
 
     def _check_range(self, joint: RevoluteJoint) -> None:
         low, high = joint.position_lower_limit(), joint.position_upper_limit()
-        if not -MAX_ANGLE <= low <= high <= MAX_ANGLE:
+        if not np.isfinite([low, high]).all():
             raise HandError(
-                f"{self._source}: joint '{joint.name()}' needs position limits within ±{MAX_ANGLE:g} rad; "
-                f"given: [{low:g}, {high:g}]"
+                f"{self._source}: joint '{joint.name()}' needs position limits; given: [{low:g}, {high:g}]"
             )
         position = joint.get_default_angle()
         if not low <= position <= high:
@@ -276,7 +269,7 @@ def _digest(description: HandDescription, model_sha256: str) -> str:
     """Computes SHA-256 over everything that determines the hand's behaviour."""
     facts = dc.asdict(description) | {"model": model_sha256}
     del facts["mount"], facts["actuation"]
-    # Newer fields count only if used, so that older checkpoints still match.
+    # A field that is not used does not count.
     for name in ("base_pose", "couplings", "ignored_collisions"):
         if getattr(description, name) == getattr(HandDescription(), name):
             del facts[name]

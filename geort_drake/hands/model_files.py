@@ -12,7 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from geort_drake.errors import HandError
-from geort_drake.files import require_fetched, sha256_of
+from geort_drake.files import sha256_of
 from geort_drake.hands.mjcf import rewrite_for_drake
 
 _PRODUCTS_OF_INERTIA = ("ixy", "ixz", "iyz")
@@ -30,7 +30,7 @@ def read_model(path: Path) -> ET.Element:
     MJCF is returned with its includes, absolute mesh paths and the changes of `rewrite_for_drake`.
 
     Raises:
-        HandError: the file or an included one is missing, a Git LFS pointer or not XML; or it has macros, or
+        HandError: the file or an included one is missing or not XML; or it has macros, or
             is only a part of an MJCF model.
     """
     tree = _parsed(path, path)
@@ -48,7 +48,6 @@ def _parsed(path: Path, main: Path) -> ET.Element:
     """Parses the XML of a file, and of those that MJCF includes; `main` is the outermost file."""
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
-    require_fetched(path, HandError)
     text = path.read_text(encoding="utf-8", errors="replace")
     if "<drake:" in text and "xmlns:drake" not in text:  # an undeclared prefix, which Drake accepts
         text = text.replace("<drake:mimic", "<mimic").replace("</drake:mimic", "</mimic")

@@ -6,11 +6,10 @@ from collections import Counter
 import numpy as np
 from pydrake.geometry import Role
 from pydrake.multibody.tree import Joint
-from scipy.optimize import minimize
+from scipy.optimize import least_squares
 
 from geort_drake.errors import listed
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 # Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
@@ -69,11 +68,10 @@ def _limits(hand: HandModel) -> list[str]:
 def _pinches(hand: HandModel) -> list[str]:
     if "thumb" not in hand.finger_names:
         return ["no finger is called thumb, so the hand cannot pinch"]
-    kinematics = NumpyKinematics(hand.kinematics())
     thumb = hand.description.fingers[0]
     found = []
     for number, finger in enumerate(hand.description.fingers[1:], start=1):
-        distance = 1e3 * nearest_pinch(kinematics, number)
+        distance = 1e3 * nearest_pinch(hand, number)
         touch = 1e3 * (thumb.tip_radius + finger.tip_radius)
         if distance > touch:
             found.append(
@@ -84,22 +82,20 @@ def _pinches(hand: HandModel) -> list[str]:
     return found
 
 
-def nearest_pinch(kinematics: NumpyKinematics, number: int) -> float:
+def nearest_pinch(hand: HandModel, number: int) -> float:
     """Finds the smallest distance, m, between the tips of finger 0 and `number`; ignores collisions."""
-    q = np.random.default_rng(0).uniform(
-        kinematics.lower, kinematics.upper, (_PINCH_SAMPLES, len(kinematics.joint_names))
-    )
-    p_BF = kinematics.fingertips(q)
+    q = hand.sample(_PINCH_SAMPLES)
+    p_BF = hand.fingertips(q)
     starts = q[np.argsort(np.linalg.norm(p_BF[:, 0] - p_BF[:, number], axis=1))[:_PINCH_STARTS]]
 
-    def cost(x: np.ndarray) -> tuple[float, np.ndarray]:
-        p_BF, J = kinematics.fingertips_and_jacobians(x[None])
-        v = p_BF[0, 0] - p_BF[0, number]
-        return 1e4 * v @ v, 2e4 * v @ (J[0, 0] - J[0, number])
+    def offset(x: np.ndarray) -> np.ndarray:
+        tips = hand.fingertips(x)
+        return tips[0] - tips[number]
 
-    bounds = list(zip(kinematics.lower, kinematics.upper, strict=True))
-    minima = [minimize(cost, start, jac=True, bounds=bounds, method="L-BFGS-B").fun for start in starts]
-    return float(np.sqrt(min(minima) / 1e4))
+    return min(
+        float(np.linalg.norm(least_squares(offset, start, bounds=(hand.lower, hand.upper)).fun))
+        for start in starts
+    )
 
 
 def _orientation(hand: HandModel) -> list[str]:

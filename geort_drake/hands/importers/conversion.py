@@ -14,7 +14,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError, OutputError
-from geort_drake.files import atomic_directory, require_fetched, write_text
+from geort_drake.files import atomic_directory, write_text
 from geort_drake.hands.assembly import parse_model
 from geort_drake.hands.model_files import mesh_elements, read_model, resolve_reference, set_mesh
 
@@ -162,7 +162,6 @@ def _hull_of_mesh(mesh: Path) -> "trimesh.Trimesh":
     """Returns the convex hull of a mesh, in the mesh's axes and unit; for COLLADA in m."""
     if not mesh.is_file():
         raise HandError(f"the mesh file {mesh} is missing")
-    require_fetched(mesh, HandError)
     suffix = mesh.suffix.lower()
     if suffix not in _CONVERTIBLE:
         raise HandError(

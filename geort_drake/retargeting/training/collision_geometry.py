@@ -7,43 +7,16 @@ one is a sphere, and never more than the true distance. A pair may have a correc
 """
 
 import copy
-from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
+from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
 from geort_drake.retargeting.rotations import cross_matrices
-from geort_drake.retargeting.training.kinematics import HandKinematics
 
+__all__ = ["CollisionGaps", "CollisionShapes", "box_gap"]
 _CHUNK = 1000
-
-
-@dataclass(frozen=True)
-class CollisionShapes:
-    """The S collision shapes of a hand as plain arrays.
-
-    Attributes:
-        joint: (S,) number of the joint that moves the shape, among those of `HandKinematics.uncoupled()`;
-            −1 where it is fixed to the base B.
-        X_JS: (S, 4, 4) pose of the shape S in its joint's moving frame J, or in B, m.
-        half: (S, 3) half edges of a box, m; zero for a sphere.
-        radius: (S,) radius of a sphere, m; zero for a box.
-        pairs: (P, 2) numbers of shapes that must not touch; if only one is a sphere, it comes second.
-        correction: (P,) addition to the gap of each pair, m, or one for all.
-    """
-
-    joint: np.ndarray
-    X_JS: np.ndarray
-    half: np.ndarray
-    radius: np.ndarray
-    pairs: np.ndarray
-    correction: np.ndarray | float = 0.0
-
-    def mirrored(self) -> "CollisionShapes":
-        """Returns the shapes of the hand with the kinematics `HandKinematics.mirrored()`."""
-        M = np.diag([1.0, -1.0, 1.0, 1.0])
-        return replace(self, X_JS=M @ self.X_JS @ M)
 
 
 class CollisionGaps:

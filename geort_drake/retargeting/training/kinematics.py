@@ -6,136 +6,30 @@ of a constant 9×3 matrix with a vector.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import torch
 
+from geort_drake.hands.kinematics import FingerChain, HandKinematics
 from geort_drake.retargeting.rotations import cross_matrices
 
+__all__ = ["FingerChain", "HandKinematics", "fingertips"]
 
-@dataclass(frozen=True)
-class FingerChain:
-    """One finger: a serial chain of revolute joints from the hand base B to the fingertip point.
 
-    Attributes:
-        name: name of the finger.
-        joint_names: names of the k independent joints, base to tip.
-        joint_indices: indices of these k joints in the hand's q.
-        X_PJ: (m, 4, 4) pose, m, of each of the m ≥ k joint frames J in its parent's joint frame P (B for the
-            first), at zero angle of the joint, or of the one that it follows.
-        axes: (m, 3) unit rotation axes in J.
-        p_tip: (3,) fingertip point in the last joint's moving frame, m.
-        all_joint_names: names of all m joints, base to tip; by default `joint_names`.
-        coupling: (m, k) rotation of each joint per rotation of the k joints; by default the identity.
+def fingertips(kinematics: HandKinematics, q: torch.Tensor) -> torch.Tensor:
+    """Computes fingertip points p_BF (..., F, 3), m, at joint angles q (..., n), rad.
+
+    Differentiable once, with the dtype and device of q; angles may exceed the limits.
     """
-
-    name: str
-    joint_names: tuple[str, ...]
-    joint_indices: tuple[int, ...]
-    X_PJ: np.ndarray
-    axes: np.ndarray
-    p_tip: np.ndarray
-    all_joint_names: tuple[str, ...] = ()
-    coupling: np.ndarray = None  # type: ignore[assignment]  # never None afterwards
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "all_joint_names", tuple(self.all_joint_names or self.joint_names))
-        if self.coupling is None:
-            object.__setattr__(self, "coupling", np.eye(len(self.all_joint_names), len(self.joint_names)))
-        for name in ("X_PJ", "axes", "p_tip", "coupling"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
-
-
-@dataclass(frozen=True)
-class HandKinematics:
-    """The fingers of a hand, with q in the order of `joint_names`.
-
-    Attributes:
-        fingers: the F chains.
-        joint_names: names of the n joints in the order of q.
-        lower, upper: (n,) joint limits, rad.
-        tip_radius: radius of the fingertip spheres, m.
-        p_BW: (3,) the hand's wrist in its base, m.
-    """
-
-    fingers: tuple[FingerChain, ...]
-    joint_names: tuple[str, ...]
-    lower: np.ndarray
-    upper: np.ndarray
-    tip_radius: float
-    p_BW: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    _constants: dict = field(default_factory=dict, init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fingers", tuple(self.fingers))
-        object.__setattr__(self, "joint_names", tuple(self.joint_names))
-        for name in ("lower", "upper", "p_BW"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
-
-    @property
-    def finger_names(self) -> tuple[str, ...]:
-        return tuple(finger.name for finger in self.fingers)
-
-    def fingertips(self, q: torch.Tensor) -> torch.Tensor:
-        """Computes fingertip points p_BF (..., F, 3), m, at joint angles q (..., n), rad.
-
-        Differentiable once, with the dtype and device of q; angles may exceed the limits.
-        """
-        n = len(self.joint_names)
-        if q.shape[-1] != n:
-            raise ValueError(f"q must end with {n} joint angles, it has shape {tuple(q.shape)}")
-        chains = self._chains(q.dtype, q.device)
-        return chains.points(q.reshape(-1, n)).transpose(0, 1).reshape(*q.shape[:-1], len(self.fingers), 3)
-
-    def mirrored(self) -> "HandKinematics":
-        """Returns the mirror image in the xz-plane, whose fingertips are at (x, −y, z) for the same q.
-
-        A left robot hand is mirrored to compare it with human hands, which are always stored as right hands.
-        """
-        M = np.diag([1.0, -1.0, 1.0, 1.0])
-        fingers = [
-            # A rotation axis is an axial vector, so its reflection changes sign.
-            replace(f, X_PJ=M @ f.X_PJ @ M, axes=-f.axes @ M[:3, :3], p_tip=M[:3, :3] @ f.p_tip)
-            for f in self.fingers
-        ]
-        return replace(self, fingers=tuple(fingers), p_BW=M[:3, :3] @ self.p_BW)
-
-    def uncoupled(self) -> tuple["HandKinematics", np.ndarray]:
-        """Returns the hand with independent joints in place of coupled ones.
-
-        Returns:
-            A hand with the n joints of this one, then the followers, N in total; and the matrix (N, n) from
-            this hand's joint angles to those of that hand.
-        """
-        names = list(self.joint_names)
-        rows = [*np.eye(len(names))]
-        for finger in self.fingers:
-            for name, row in zip(finger.all_joint_names, finger.coupling, strict=True):
-                if name not in names:
-                    names.append(name)
-                    rows.append(np.zeros(len(self.joint_names)))
-                    rows[-1][list(finger.joint_indices)] = row
-        fingers = [
-            replace(
-                finger,
-                joint_names=finger.all_joint_names,
-                joint_indices=tuple(names.index(name) for name in finger.all_joint_names),
-                coupling=np.eye(len(finger.all_joint_names)),
-            )
-            for finger in self.fingers
-        ]
-        matrix = np.array(rows)
-        ends = matrix * self.lower, matrix * self.upper
-        lower, upper = np.minimum(*ends).sum(1), np.maximum(*ends).sum(1)
-        hand = replace(self, fingers=tuple(fingers), joint_names=tuple(names), lower=lower, upper=upper)
-        return hand, matrix
-
-    def _chains(self, dtype: torch.dtype, device: torch.device) -> "_Chains":
-        if (dtype, device) not in self._constants:
-            self._constants[dtype, device] = _Chains(self.fingers, dtype, device)
-        return self._constants[dtype, device]
+    n = len(kinematics.joint_names)
+    if q.shape[-1] != n:
+        raise ValueError(f"q must end with {n} joint angles, it has shape {tuple(q.shape)}")
+    key = q.dtype, q.device
+    if key not in kinematics.constants:
+        kinematics.constants[key] = _Chains(kinematics.fingers, *key)
+    points = kinematics.constants[key].points(q.reshape(-1, n))
+    return points.transpose(0, 1).reshape(*q.shape[:-1], len(kinematics.fingers), 3)
 
 
 class _Chains:

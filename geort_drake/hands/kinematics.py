@@ -1,0 +1,163 @@
+"""A hand's fingers as serial chains, and its collision shapes, as plain arrays."""
+
+import importlib
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+
+@dataclass(frozen=True)
+class FingerChain:
+    """One finger: a serial chain of revolute joints from the hand base B to the fingertip point.
+
+    Attributes:
+        name: name of the finger.
+        joint_names: names of the k independent joints, base to tip.
+        joint_indices: indices of these k joints in the hand's q.
+        X_PJ: (m, 4, 4) pose, m, of each of the m ≥ k joint frames J in its parent's joint frame P (B for the
+            first), at zero angle of the joint, or of the one that it follows.
+        axes: (m, 3) unit rotation axes in J.
+        p_tip: (3,) fingertip point in the last joint's moving frame, m.
+        all_joint_names: names of all m joints, base to tip; by default `joint_names`.
+        coupling: (m, k) rotation of each joint per rotation of the k joints; by default the identity.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    joint_indices: tuple[int, ...]
+    X_PJ: np.ndarray
+    axes: np.ndarray
+    p_tip: np.ndarray
+    all_joint_names: tuple[str, ...] = ()
+    coupling: np.ndarray = None  # type: ignore[assignment]  # never None afterwards
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "all_joint_names", tuple(self.all_joint_names or self.joint_names))
+        if self.coupling is None:
+            object.__setattr__(self, "coupling", np.eye(len(self.all_joint_names), len(self.joint_names)))
+        for name in ("X_PJ", "axes", "p_tip", "coupling"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+
+
+@dataclass(frozen=True)
+class HandKinematics:
+    """The fingers of a hand, with q in the order of `joint_names`.
+
+    Attributes:
+        fingers: the F chains.
+        joint_names: names of the n joints in the order of q.
+        lower, upper: (n,) joint limits, rad.
+        tip_radius: radius of the fingertip spheres, m.
+        p_BW: (3,) the hand's wrist in its base, m.
+    """
+
+    fingers: tuple[FingerChain, ...]
+    joint_names: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    tip_radius: float
+    p_BW: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    # What a forward pass has computed from the constants, by its data type and device.
+    constants: dict = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "fingers", tuple(self.fingers))
+        object.__setattr__(self, "joint_names", tuple(self.joint_names))
+        for name in ("lower", "upper", "p_BW"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+
+    @property
+    def finger_names(self) -> tuple[str, ...]:
+        return tuple(finger.name for finger in self.fingers)
+
+    def fingertips(self, q: Any) -> Any:
+        """Computes fingertips of torch tensors, see `retargeting.training.kinematics.fingertips`."""
+        torch_kinematics = importlib.import_module("geort_drake.retargeting.training.kinematics")
+        return torch_kinematics.fingertips(self, q)
+
+    def joint_poses(self, q: np.ndarray) -> np.ndarray:
+        """Returns (n, 4, 4) poses X_BJ, m, of the joints' moving frames at joint angles q (n,), rad.
+
+        Of a hand without couplings, see `uncoupled`.
+        """
+        X_BJ = np.empty((len(self.joint_names), 4, 4))
+        for finger in self.fingers:
+            X = np.eye(4)
+            for joint, X_PJ, axis in zip(finger.joint_indices, finger.X_PJ, finger.axes, strict=True):
+                turn = np.eye(4)
+                turn[:3, :3] = Rotation.from_rotvec(q[joint] * axis).as_matrix()
+                X = X @ X_PJ @ turn
+                X_BJ[joint] = X
+        return X_BJ
+
+    def mirrored(self) -> "HandKinematics":
+        """Returns the mirror image in the xz-plane, whose fingertips are at (x, −y, z) for the same q.
+
+        A left robot hand is mirrored to compare it with human hands, which are always stored as right hands.
+        """
+        M = np.diag([1.0, -1.0, 1.0, 1.0])
+        fingers = [
+            # A rotation axis is an axial vector, so its reflection changes sign.
+            replace(f, X_PJ=M @ f.X_PJ @ M, axes=-f.axes @ M[:3, :3], p_tip=M[:3, :3] @ f.p_tip)
+            for f in self.fingers
+        ]
+        return replace(self, fingers=tuple(fingers), p_BW=M[:3, :3] @ self.p_BW)
+
+    def uncoupled(self) -> tuple["HandKinematics", np.ndarray]:
+        """Returns the hand with independent joints in place of coupled ones.
+
+        Returns:
+            A hand with the n joints of this one, then the followers, N in total; and the matrix (N, n) from
+            this hand's joint angles to those of that hand.
+        """
+        names = list(self.joint_names)
+        rows = [*np.eye(len(names))]
+        for finger in self.fingers:
+            for name, row in zip(finger.all_joint_names, finger.coupling, strict=True):
+                if name not in names:
+                    names.append(name)
+                    rows.append(np.zeros(len(self.joint_names)))
+                    rows[-1][list(finger.joint_indices)] = row
+        fingers = [
+            replace(
+                finger,
+                joint_names=finger.all_joint_names,
+                joint_indices=tuple(names.index(name) for name in finger.all_joint_names),
+                coupling=np.eye(len(finger.all_joint_names)),
+            )
+            for finger in self.fingers
+        ]
+        matrix = np.array(rows)
+        ends = matrix * self.lower, matrix * self.upper
+        lower, upper = np.minimum(*ends).sum(1), np.maximum(*ends).sum(1)
+        hand = replace(self, fingers=tuple(fingers), joint_names=tuple(names), lower=lower, upper=upper)
+        return hand, matrix
+
+
+@dataclass(frozen=True)
+class CollisionShapes:
+    """The S collision shapes of a hand as plain arrays.
+
+    Attributes:
+        joint: (S,) number of the joint that moves the shape, among those of `HandKinematics.uncoupled()`;
+            −1 where it is fixed to the base B.
+        X_JS: (S, 4, 4) pose of the shape S in its joint's moving frame J, or in B, m.
+        half: (S, 3) half edges of a box, m; zero for a sphere.
+        radius: (S,) radius of a sphere, m; zero for a box.
+        pairs: (P, 2) numbers of shapes that must not touch; if only one is a sphere, it comes second.
+        correction: (P,) addition to the gap of each pair, m, or one for all.
+    """
+
+    joint: np.ndarray
+    X_JS: np.ndarray
+    half: np.ndarray
+    radius: np.ndarray
+    pairs: np.ndarray
+    correction: np.ndarray | float = 0.0
+
+    def mirrored(self) -> "CollisionShapes":
+        """Returns the shapes of the hand with the kinematics `HandKinematics.mirrored()`."""
+        M = np.diag([1.0, -1.0, 1.0, 1.0])
+        return replace(self, X_JS=M @ self.X_JS @ M)
