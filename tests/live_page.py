@@ -31,6 +31,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "geort_drake" / "live" / "web" / "static"
 WEB = ROOT / "web"
 CHROMIUM = Path("/usr/bin/chromium")
+# WebGL without a GPU, by Chromium's own software renderer.
+_SOFTWARE_GL = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
 # The page gets the camera without a question.
 _FAKE_CAMERA = ("--use-fake-ui-for-media-stream", "--use-fake-device-for-media-stream")
 
@@ -58,7 +60,7 @@ def require_package(name: str) -> None:
 def launch(playwright, clip: Path | None = None, *flags: str):
     """Starts a browser with Chromium's `flags`; its camera plays `clip`, or it has none."""
     camera = [*_FAKE_CAMERA, f"--use-file-for-fake-video-capture={clip}"] if clip else []
-    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*flags, *camera])
+    return playwright.chromium.launch(executable_path=str(CHROMIUM), args=[*_SOFTWARE_GL, *flags, *camera])
 
 
 def new_page(browser, **options):

@@ -201,7 +201,7 @@ def test_a_hand_of_other_joints_is_refused():
 def test_a_malformed_address_is_refused(address):
     """LCM itself accepts any URL, and then nothing arrives."""
     with pytest.raises(LiveError, match=r"give one of|expected udpm"):
-        split_address(address, ("sub", "pull"))
+        split_address(address, ("sub", "pull", "lcm"))
 
 
 def test_addresses_open_to_the_network_are_recognised(tmp_path):
@@ -241,12 +241,11 @@ def lcm_url():
     pytest.skip("multicast does not reach this machine itself, so LCM has no loopback here")
 
 
-@pytest.mark.parametrize("pattern", ["pub", "push", "lcm"])
-def test_messages_pass_over_a_transport(pattern, request):
+@pytest.mark.parametrize("pattern", ["pub", "push"])
+def test_messages_pass_over_a_transport(pattern):
     """On loopback; an address of ZeroMQ that is in use is refused."""
-    address = request.getfixturevalue("lcm_url") if pattern == "lcm" else "tcp://127.0.0.1:0"
-    sender = open_sender(f"{pattern}+{address}")
-    address = address if pattern == "lcm" else sender.endpoint
+    sender = open_sender(f"{pattern}+tcp://127.0.0.1:0")
+    address = sender.endpoint
     receiver = open_receiver(f"{pattern.replace('pub', 'sub').replace('push', 'pull')}+{address}")
 
     def poll():
@@ -255,9 +254,8 @@ def test_messages_pass_over_a_transport(pattern, request):
 
     try:
         assert set(wait_for(poll, 20.0, lambda: "nothing came")) == {b"a frame"}
-        if pattern != "lcm":
-            with pytest.raises(LiveError, match="cannot listen there"):
-                open_sender(f"{pattern}+{address}")
+        with pytest.raises(LiveError, match="cannot listen there"):
+            open_sender(f"{pattern}+{address}")
     finally:
         receiver.close()
         sender.close()
@@ -349,10 +347,8 @@ def test_the_loop_runs_over_loopback(station, tmp_path, lcm_url):
     report = json.loads((tmp_path / "live.json").read_text())
     assert report["glove"]["received"] > 20
     assert report["glove"]["refused"] == report["robot"]["refused"] == 0
-    command, echo = (report["latency_s"][name] for name in ("command", "echo"))
-    assert command["count"] >= echo["count"] > 10
-    assert 0 < command["median"] < echo["median"] <= echo["p99"]
-    print("latency, s:", report["latency_s"])
+    assert report["delay_s"]["count"] > 10
+    assert 0 < report["delay_s"]["median"] <= report["delay_s"]["p99"]
 
 
 @pytest.mark.slow

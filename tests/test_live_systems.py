@@ -1,4 +1,4 @@
-"""Each system of live use alone: glove stream, engage switch, watchdog, latency meter."""
+"""Each system of live use alone: glove stream, engage switch, watchdog, delay meter."""
 
 import itertools
 import json
@@ -16,8 +16,8 @@ from system_bench import SystemBench, Watch
 
 from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import LiveError, MismatchError, RecordingError
+from geort_drake.live.delay import DelayMeter
 from geort_drake.live.glove_stream import GloveStream
-from geort_drake.live.latency import Latency, LatencyMeter
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.session import EnterKey, play, run_in_real_time
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
@@ -344,23 +344,18 @@ def test_a_loop_that_is_late_does_not_hurry():
 
 
 def test_the_meter_measures_how_long_commands_take():
-    """And their confirmations; held commands and old keypoints do not count."""
+    """Held commands and old keypoints do not count."""
     clock = Clock(10.0)
-    meter = LatencyMeter(1, PERIOD, clock)
+    meter = DelayMeter(1, PERIOD, clock)
+    assert meter.delay() == {"count": 0, "median": None, "p99": None}
     bench = SystemBench(meter, PERIOD, 0.9)
     for tick in range(10):
-        moving = tick < 6
         sent = 10.0 + tick * PERIOD - 0.004 if tick else math.nan
-        # The robot reports the command of two periods ago.
-        bench.fix(sent=sent, command=[min(tick, 5), 0.0], echo=min(tick - 2, 5))
+        bench.fix(sent=sent, command=[min(tick, 5), 0.0])
         clock.now = 10.0 + tick * PERIOD
         bench.advance()
-        assert moving or meter.to_command().count == 5
     # A joint that lags causes new commands from old keypoints.
     bench.fix(command=[6.0, 0.0])
     bench.advance()
-    for latency, expected in ((meter.to_command(), 0.004), (meter.to_echo(), 0.024)):
-        assert latency.count == 5
-        assert latency.median == pytest.approx(expected)
-        assert latency.p99 == pytest.approx(expected)
-    assert Latency.of([]) == Latency(0, None, None)
+    assert meter.delay() == {"count": 5, "median": pytest.approx(0.004), "p99": pytest.approx(0.004)}
+    assert meter.delay(2)["count"] == 2

@@ -12,7 +12,6 @@ from geort_drake import load_hand
 from geort_drake.errors import GeortError, LiveError, MismatchError
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import decode as decode_glove
-from geort_drake.live.web.guide import DURATION_S, GuidedPlay
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
 from geort_drake.live.web.one_euro import OneEuroFilter
@@ -172,20 +171,6 @@ def test_an_unknown_object_is_refused_with_the_choices():
         operated.take(1, '{"type": "reset", "task": "juggle"}')
     operated.take(1, '{"type": "reset", "object": "sphere"}')
     assert operated.commands[0] == Reset(object="sphere")
-
-
-def test_guided_play_says_what_to_do_and_what_is_missing():
-    guide, told = GuidedPlay(0.0, "right"), set()
-    for i in range(round(50 * DURATION_S) + 10):
-        guide.see(i / 50, PLAY.p_HK[i % len(PLAY.p_HK)])
-        told.add(guide.instruction)
-    assert len(told) == 9 and guide.instruction == "" and guide.seconds_left == 0.0
-    assert guide.recording().t[-1] == pytest.approx(DURATION_S, abs=0.1)
-    assert all(": " in sentence for sentence in guide.missing())
-    still = GuidedPlay(0.0, "right")
-    for i in range(200):
-        still.see(i / 50, PLAY.p_HK[0].copy())
-    assert len(still.missing()) > len(guide.missing())
 
 
 def toy(p_HK: np.ndarray) -> np.ndarray:

@@ -271,7 +271,7 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
 
 @pytest.mark.slow
 def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
-    """The command, driven by a page that sends a headset's joints; it leaves the session in three formats."""
+    """The command, driven by a page that sends a headset's joints; `grasp --replay` replays the recording."""
     checkpoint(tmp_path)
     with live_program(tmp_path, "--retargeter", str(tmp_path / "checkpoint")) as (program, address, key):
         scenes = asyncio.run(_drive(f"{address}/ws?key={key}"))
@@ -283,12 +283,6 @@ def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
     assert report["states"]["tracking"] > 0.5 and report["glove"]["received"] > 50
     assert report["glove"]["clock_offset_s"] is None and "time stamp" not in log
     (file,) = (tmp_path / "runs" / "live").glob("*.npz")
-    folder = file.with_suffix("")
-    results = json.loads((folder / "results.json").read_text())
-    (trial,) = results["trials"]
-    assert (trial["object"], trial["seed"]) == ("sphere", 1)
-    assert results["session"]["consent"] and (folder / "sphere-1.rrd").stat().st_size > 10_000
-    assert json.loads((folder / "lerobot/meta/info.json").read_text())["total_episodes"] == 1
     recording = Recording.load(file)
     assert recording.valid.sum() > 50
     facts = recording.metadata

@@ -3,7 +3,7 @@
 Without options, a page in the browser takes your hand from the camera or a headset and shows the simulation.
 
 SOURCE is web, a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish`
-or a MANUS bridge that publishes), pull+tcp://127.0.0.1:8000 (from a bridge that pushes), lcm, or lcm+URL.
+or a MANUS bridge that publishes), or pull+tcp://127.0.0.1:8000 (from a bridge that pushes).
 TARGET is simulation, lcm, or lcm+URL. On the page, or with Enter, you engage and disengage. Ctrl-C stops; the
 robot holds its position. Messages over ZeroMQ and LCM are neither signed nor encrypted: whoever can send them
 moves the robot. The page asks for the key in its address.
@@ -91,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = scenario_of(arguments)
     description = load_hand(scenario.hand)
     side, duration = description.side, arguments.duration
-    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot)[1]
+    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot, ["lcm"])[1]
     if lcm_url:
         require_hand_messages(description)
     if arguments.glove == "web":
@@ -166,15 +166,14 @@ def run(arguments: argparse.Namespace) -> int:
 def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:
     """Warns of addresses through which other machines can move the robot."""
     from geort_drake.console import warn
-    from geort_drake.live.transports import heard_from_outside, is_local, split_address
+    from geort_drake.live.transports import heard_from_outside, is_local
 
     for address in (glove, lcm_url):
         if address and not is_local(address):
             warn(f"{address} is open to the network; anyone in it can move the robot")
-    for url in {lcm_url, split_address(glove, ("sub", "pull"))[1] if glove else None}:
-        if url and url.startswith("udpm://") and is_local(url) and heard_from_outside(url):
-            group = url.removeprefix("udpm://").partition(":")[0]
-            warn(
-                f"{url} is also heard from the network: anyone in it can move the robot. To keep it to "
-                f"this machine: sudo ip link set lo multicast on && sudo ip route add {group} dev lo"
-            )
+    if lcm_url and is_local(lcm_url) and heard_from_outside(lcm_url):
+        group = lcm_url.removeprefix("udpm://").partition(":")[0]
+        warn(
+            f"{lcm_url} is also heard from the network: anyone in it can move the robot. To keep it to "
+            f"this machine: sudo ip link set lo multicast on && sudo ip route add {group} dev lo"
+        )

@@ -52,10 +52,7 @@ def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | Non
             "repaired": glove.repaired,
             "clock_offset_s": None if math.isnan(glove.clock_offset) else glove.clock_offset,
         }
-        summary["latency_s"] = {
-            name: dataclasses.asdict(latency)
-            for name, latency in (("command", meter.to_command()), ("echo", meter.to_echo()))
-        }
+        summary["delay_s"] = meter.delay()
     if link:
         summary["robot"] = {"refused": link.inbox.refused}
     return summary
@@ -63,11 +60,9 @@ def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | Non
 
 def print_summary(summary: dict) -> None:
     """Prints the summary in a few lines."""
-    for name, text in (("command", "glove to command"), ("echo", "glove to the robot and back")):
-        latency = summary.get("latency_s", {}).get(name)
-        if latency and latency["count"]:
-            median, p99 = (f"{1e3 * latency[key]:.1f} ms" for key in ("median", "p99"))
-            say(f"{text}: median {median}, 99th percentile {p99} ({latency['count']} commands)")
+    if (delay := summary.get("delay_s")) and delay["count"]:
+        median, p99 = (f"{1e3 * delay[key]:.1f} ms" for key in ("median", "p99"))
+        say(f"from keypoints to joint targets: median {median}, 99th percentile {p99}")
     if counts := summary.get("glove"):
         say(
             f"glove: {counts['received']} frames received, {counts['refused']} refused, "

@@ -1,13 +1,12 @@
 """Runs `geort-drake live` with the page: serves it and runs its sessions."""
 
 import argparse
-import contextlib
 import copy
 import sys
 from pathlib import Path
 
 from geort_drake.cli.live_session import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
-from geort_drake.cli.options import finish, view, write_json
+from geort_drake.cli.options import command, finish, write_json
 from geort_drake.console import console
 from geort_drake.errors import UsageError
 from geort_drake.files import require_writable
@@ -15,9 +14,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
-from geort_drake.live.web.exports import SessionExports
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.live.web.personal_map import PersonalMap
 from geort_drake.live.web.serve import open_server
 from geort_drake.live.web.session import WebTeleoperation
 from geort_drake.simulation.following import RobotModel
@@ -57,17 +54,8 @@ def run_web(
     robot = "lcm" if lcm_url else "simulation"
     about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
     station = OperatorStation(about)
-    with (
-        open_server(station, arguments.host, arguments.port, not arguments.no_open) as server,
-        contextlib.closing(SessionExports()) as exports,
-    ):
-        control = PageControl(
-            station,
-            server.publish,
-            arguments.record or _RECORDINGS,
-            PersonalMap(checkpoint, lambda fitted: load(fitted, description, arguments.backend)),
-            exports.write,
-        )
+    with open_server(station, arguments.host, arguments.port, not arguments.no_open) as server:
+        control = PageControl(station, server.publish, arguments.record or _RECORDINGS)
         teleoperation = WebTeleoperation(
             scenarios,
             description,
@@ -99,10 +87,7 @@ def run_web(
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]
-        results, dataset = {"Recording": last}, last.with_suffix("") / "lerobot"
-        if dataset.is_dir():
-            results["LeRobot dataset"] = dataset
-        finish(results, view(last.with_suffix(""), "/*.rrd"))
+        finish({"Recording": last}, command("grasp", "--replay", last))
     write_json(arguments.json, summary)
     return 0
 

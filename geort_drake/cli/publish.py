@@ -1,7 +1,7 @@
 """Send a recording as glove messages, one per frame.
 
-ADDRESS is pub+tcp://127.0.0.1:5556 (ZeroMQ, for `geort-drake live --glove sub+tcp://127.0.0.1:5556`),
-push+tcp://127.0.0.1:8000 (for pull+tcp://…), lcm, or lcm+URL. Ctrl-C stops it.
+ADDRESS is pub+tcp://127.0.0.1:5556 (ZeroMQ, for `geort-drake live --glove sub+tcp://127.0.0.1:5556`) or
+push+tcp://127.0.0.1:8000 (for pull+tcp://…). Ctrl-C stops it.
 """
 
 import argparse

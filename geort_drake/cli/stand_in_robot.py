@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.live.session import run_in_real_time, stopping
     from geort_drake.live.transports import split_address
 
-    _, url = split_address(arguments.lcm)
+    _, url = split_address(arguments.lcm, ["lcm"])
     scenario = scenario_of(arguments)
     diagram = make_stand_in(scenario, url, open_meshcat() if arguments.meshcat else None)
     simulator = Simulator(diagram)

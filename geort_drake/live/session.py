@@ -17,7 +17,7 @@ from pydrake.systems.framework import Context
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.people.recording import Recording
-from geort_drake.systems.retargeting_status import LEARNING, LIMITED, TRACKING, UNUSUAL
+from geort_drake.systems.retargeting_status import LIMITED, TRACKING
 
 # At the end the robot is commanded to brake and hold for this long, s.
 HOLD_S = 0.5
@@ -117,8 +117,7 @@ def run_session(
         state = loop.state(root)
         states[state] = states.get(state, 0.0) + _STEP_S
         # A fast hand reaches its limits many times a second; showing that would flood the user.
-        usual = last if last in (LEARNING, UNUSUAL) else TRACKING
-        shown = usual if state == LIMITED else state
+        shown = TRACKING if state == LIMITED else state
         if shown != last:
             on_state(time, shown)
             last = shown

@@ -8,12 +8,11 @@ import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.live.delay import DelayMeter
 from geort_drake.live.glove_stream import MAX_LATENESS_S
-from geort_drake.live.latency import LatencyMeter
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.retargeting.method import Retarget
-from geort_drake.retargeting.numpy_retargeter import Retargeter
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.monitor import Outcome
 from geort_drake.simulation.scenario import Scenario
@@ -40,7 +39,7 @@ class Teleoperation:
     correction: ActionCorrection
     wrist_checks: WristChecks
     wrist_to_arm: WristToArm
-    meter: LatencyMeter | None
+    meter: DelayMeter | None
 
     def engage(self, root: Context, engaged: bool) -> None:
         """Makes the robot follow the person, or brake and hold, in a root context of the diagram."""
@@ -49,10 +48,6 @@ class Teleoperation:
     def following(self, root: Context) -> bool:
         """Returns whether the fingers follow the person."""
         return bool(_eval(self.watchdog, "following", root)[0] >= 0.5)
-
-    def change_map(self, root: Context, retargeter: Retargeter) -> None:
-        """Replaces the map by one that was fitted to the person; see `RetargetingSystem.change_map`."""
-        self.retargeting.change_map(self.retargeting.GetMyMutableContextFromRoot(root), retargeter)
 
     def outcome(self, root: Context) -> Outcome | None:
         """Returns the task's outcome so far; None without a simulation."""
@@ -159,11 +154,9 @@ def make_teleoperation(
 
     meter = None
     if glove.HasOutputPort("sent"):
-        meter = builder.AddNamedSystem("latency", LatencyMeter(len(safe_pose), retargeting.period))
+        meter = builder.AddNamedSystem("delay_meter", DelayMeter(len(safe_pose), retargeting.period))
         builder.Connect(glove.GetOutputPort("sent"), meter.GetInputPort("sent"))
         builder.Connect(correction.GetOutputPort("desired_state"), meter.GetInputPort("command"))
-        if robot.HasOutputPort("hand_commanded"):
-            builder.Connect(robot.GetOutputPort("hand_commanded"), meter.GetInputPort("echo"))
     if recorder is not None:
         builder.AddNamedSystem("glove_recorder", recorder)
         for name in ("keypoints", "wrist_pose"):

@@ -1,9 +1,10 @@
-"""Receivers and senders of byte messages over ZeroMQ and LCM, by address:
+"""Receivers and senders of byte messages over ZeroMQ, and addresses of ZeroMQ and LCM:
 
     sub+tcp://HOST:PORT     ZeroMQ, subscribes to a publisher, whose address is pub+tcp://…
     pull+tcp://HOST:PORT    ZeroMQ, pulls from a pusher, as most MANUS bridges are: push+tcp://…
     lcm                     LCM on `LOCAL_LCM`, whose messages do not leave this machine
     lcm+URL                 LCM on that URL, udpm://GROUP:PORT?ttl=N
+
 ZeroMQ's ipc:// works in place of tcp://. Receivers connect and senders bind, so only senders listen.
 """
 
@@ -12,7 +13,7 @@ import ipaddress
 import re
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -23,9 +24,9 @@ from geort_drake.live.messages import MAX_BYTES
 
 # LCM's default group and port; ttl=0 keeps sent messages on this machine.
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
-GLOVE_CHANNEL = "GEORT_GLOVE"
 
 _RECEIVERS, _SENDERS = ("sub", "pull"), ("pub", "push")
+_FORMS = {"lcm": "lcm, lcm+udpm://GROUP:PORT?ttl=N"}
 _ROUTES = Path("/proc/net/route")
 _ROUTE_IS_UP = 1  # flag in that table
 
@@ -39,43 +40,44 @@ class Receiver(Protocol):
         """Returns the messages since the last call, oldest first; does not wait."""
 
 
-def open_receiver(address: str) -> "LcmReceiver | ZmqReceiver":
+def open_receiver(address: str) -> "ZmqReceiver":
     """Connects to a glove's address.
 
     Raises:
         LiveError: the address is malformed, or pyzmq is not installed.
     """
-    pattern, endpoint = split_address(address, _RECEIVERS)
-    return LcmReceiver(endpoint) if pattern == "lcm" else ZmqReceiver(pattern, endpoint)
+    return ZmqReceiver(*split_address(address, _RECEIVERS))
 
 
-def open_sender(address: str) -> "LcmSender | ZmqSender":
+def open_sender(address: str) -> "ZmqSender":
     """Binds to an address to which receivers of a glove connect.
 
     Raises:
         LiveError: the address is malformed or in use, or pyzmq is not installed.
     """
-    pattern, endpoint = split_address(address, _SENDERS)
-    return LcmSender(endpoint) if pattern == "lcm" else ZmqSender(pattern, endpoint)
+    return ZmqSender(*split_address(address, _SENDERS))
 
 
 def is_address(text: str) -> bool:
     """Returns whether the name of a glove's source looks like an address rather than a file."""
-    return "://" in text or text.partition("+")[0] in (*_RECEIVERS, "lcm")
+    return "://" in text or text.partition("+")[0] in _RECEIVERS
 
 
-def split_address(address: str, patterns: tuple[str, ...] = ()) -> tuple[str, str]:
-    """Splits an address into pattern and endpoint; the pattern is lcm or one of `patterns`.
+def split_address(address: str, patterns: Sequence[str]) -> tuple[str, str]:
+    """Splits an address into pattern and endpoint; LCM's endpoint is a URL, by default `LOCAL_LCM`.
+
+    Args:
+        patterns: patterns that are allowed, such as "sub" or "lcm".
 
     Raises:
         LiveError: the address is malformed, or has another pattern.
     """
     pattern, _, endpoint = address.partition("+")
-    if pattern == "lcm":
+    if pattern == "lcm" and pattern in patterns:
         _check_lcm_url(endpoint or LOCAL_LCM)
         return pattern, endpoint or LOCAL_LCM
     if pattern not in patterns or not re.fullmatch(r"tcp://[^\s:/]+:\d{1,5}|ipc://\S+", endpoint):
-        forms = [*(f"{name}+tcp://HOST:PORT" for name in patterns), "lcm", "lcm+udpm://GROUP:PORT?ttl=N"]
+        forms = [_FORMS.get(name, f"{name}+tcp://HOST:PORT") for name in patterns]
         raise LiveError(f"address '{address:.80}': give one of {', '.join(forms)}")
     return pattern, endpoint
 
@@ -131,37 +133,6 @@ def open_lcm(url: str) -> DrakeLcm:
     """
     _check_lcm_url(url)
     return DrakeLcm(url)
-
-
-class LcmReceiver:
-    """Receives messages on the glove's channel. LCM keeps only one unread message, so drain often."""
-
-    def __init__(self, url: str):
-        self._lcm = open_lcm(url)
-        self._messages: list[bytes] = []
-        self._lcm.Subscribe(GLOVE_CHANNEL, self._messages.append)
-
-    def drain(self) -> list[bytes]:
-        self._lcm.HandleSubscriptions(0)
-        messages = self._messages[-_MAX_AT_ONCE:]
-        self._messages.clear()
-        return messages
-
-    def close(self) -> None:
-        pass
-
-
-class LcmSender:
-    """Sends messages on the glove's channel."""
-
-    def __init__(self, url: str):
-        self._lcm = open_lcm(url)
-
-    def send(self, message: bytes) -> None:
-        self._lcm.Publish(GLOVE_CHANNEL, message)
-
-    def close(self) -> None:
-        pass
 
 
 class _ZmqSocket:

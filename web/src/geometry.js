@@ -41,11 +41,10 @@ async function makeGeometry({ shape, size, url, color: [red, green, blue], pose 
  * Makes the meshes of a scene. Geometries of one body with the same opacity share a mesh, because each mesh costs time.
  *
  * @param {object[]} geometries of `/scene`
- * @param {typeof THREE.Material} Material
  * @param {number} edges per circle
  * @returns {Promise<{moving: number | null, mesh: THREE.Mesh}[]>}
  */
-export async function makeMeshes(geometries, Material, edges) {
+export async function makeMeshes(geometries, edges) {
   const groups = new Map();
   for (const entry of geometries) {
     const key = `${entry.moving} ${entry.color[3]}`;
@@ -56,7 +55,7 @@ export async function makeMeshes(geometries, Material, edges) {
       const { moving, color } = entries[0];
       const opacity = color[3];
       const geometry = mergeGeometries(await Promise.all(entries.map((entry) => makeGeometry(entry, edges))));
-      const material = new Material({ vertexColors: true, transparent: opacity < 1, opacity });
+      const material = new THREE.MeshStandardMaterial({ vertexColors: true, transparent: opacity < 1, opacity });
       const mesh = new THREE.Mesh(geometry, material);
       mesh.castShadow = opacity === 1;
       mesh.receiveShadow = true;

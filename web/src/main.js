@@ -30,8 +30,11 @@ const model = {
   leaving: null,
   hand: UNSEEN,
 };
+if (!document.createElement("canvas").getContext("webgl2")) {
+  element("no-webgl").hidden = false;
+  throw new Error("the page needs WebGL 2");
+}
 const view = new View(element("view"));
-element("plain").hidden = !view.plain;
 let scene = null;
 
 function refresh() {
@@ -131,7 +134,6 @@ function stopUsing(failure = "") {
   camera.stop();
   if (model.hand.usable) receiveHand(performance.now() / 1000, null);
   Object.assign(model, { device: null, failure, hand: UNSEEN });
-  view.yielding = false;
   refresh();
 }
 
@@ -141,7 +143,6 @@ async function use(device, start) {
   stopUsing();
   if (previous === device) return;
   model.device = device;
-  view.yielding = device === "camera";
   if (model.welcome) hello();
   refresh();
   await start().catch(({ name, message }) => stopUsing(`The ${device} cannot be used: ${REASONS[name] ?? message}.`));
@@ -202,8 +203,6 @@ element("object").onchange = ({ target }) => {
   reset({ object: target.value });
   target.blur();
 };
-element("guide").onclick = () => connection.send({ type: "guide" });
-element("refit").onclick = () => connection.send({ type: "refit" });
 element("keep").onchange = refresh;
 element("record").onclick = () =>
   connection.send(model.state?.recording ? { type: "stop" } : { type: "record", keep: true });

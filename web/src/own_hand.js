@@ -8,13 +8,11 @@ const ALL = new THREE.Vector3(1, 1, 1);
 const KEYPOINTS = 21;
 
 export class OwnHand extends THREE.Group {
-  /**
-   * @param {typeof THREE.Material} Material
-   * @param {number} edges per circle
-   */
-  constructor(Material, edges) {
+  /** @param {number} edges per circle */
+  constructor(edges) {
     super();
-    const many = (geometry, colour, count) => new THREE.InstancedMesh(geometry, new Material({ color: colour }), count);
+    const many = (geometry, color, count) =>
+      new THREE.InstancedMesh(geometry, new THREE.MeshStandardMaterial({ color }), count);
     this.rods = many(new THREE.CylinderGeometry(0.0045, 0.0055, 1, edges / 2), "#fff", BONES.length);
     this.balls = many(new THREE.SphereGeometry(0.0065, edges, edges / 2), "#f4f4f2", KEYPOINTS);
     BONES.forEach(({ colour }, i) => this.rods.setColorAt(i, new THREE.Color(colour)));

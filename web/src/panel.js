@@ -49,14 +49,11 @@ export function show(model) {
   write("purpose", sentenceCase(welcome?.instructions[state?.task]) ?? "");
 
   write("map", sentenceCase(welcome?.map) ?? "");
-  element("guide").disabled = element("refit").disabled = !operator;
-  write("refit-words", sentenceCase(state?.refit?.text) ?? "");
   element("record").disabled = !operator || !(state?.recording || element("keep").checked);
   write("record", state?.recording ? "Stop" : "Record");
   write("recording", state?.recording ?? "");
   write("counts", state ? counts(state) : "");
 
-  showGuide(state?.guide);
   showTask(state);
   return now;
 }
@@ -73,15 +70,6 @@ function fill(id, names) {
   const { options } = element(id);
   if (names.join() === Array.from(options, ({ value }) => value).join()) return;
   element(id).replaceChildren(...names.map((name) => new Option(sentenceCase(name.replaceAll("_", " ")), name)));
-}
-
-function showGuide(guide) {
-  element("guidance").hidden = !guide;
-  if (!guide) return;
-  write("instruction", guide.instruction);
-  write("seconds-left", `${Math.ceil(guide.seconds_left)} s`);
-  const items = guide.missing.slice(0, 3).map((text) => Object.assign(document.createElement("li"), { textContent: text }));
-  element("missing").replaceChildren(...items);
 }
 
 function showTask(state) {

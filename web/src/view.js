@@ -5,7 +5,6 @@ import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { RoomEnvironment } from "three/addons/environments/RoomEnvironment.js";
 import { makeMeshes, setPose } from "./geometry.js";
 import { OwnHand } from "./own_hand.js";
-import { ProcessorRenderer } from "./processor_renderer.js";
 import { Sign } from "./sign.js";
 import { KEYPOINT_TO_XR } from "./skeleton.js";
 
@@ -19,14 +18,7 @@ const WORLD = new THREE.Matrix4().makeBasis(
 // the viewing distance.
 const HAND_DISTANCE = 0.24;
 const HAND_DISTANCE_SHARE = 0.28;
-// Names of WebGL renderers that run without a GPU.
-const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
-// Without a GPU, a picture has at most this many pixels. While a hand tracker needs the processor, pictures follow each
-// other at this multiple of the time that drawing takes. That time is the shortest of the last few: other programs
-// interrupted the longer ones.
-const MOST_PIXELS = 700_000;
-const INTERVAL = 7;
-const TIMED_PICTURES = 10;
+const EDGES = 32; // per circle
 const HIGHLIGHT = "#00a892";
 // Position of the scene's centre in a headset, m: ahead of the person, who looks past the arm's right side.
 const HEADSET_TARGET = new THREE.Vector3(-0.3, 0.95, -0.9);
@@ -35,35 +27,25 @@ export class View {
   /** @param {HTMLCanvasElement} canvas */
   constructor(canvas) {
     this.canvas = canvas;
-    this.plain = !hasGpu();
-    this.renderer = this.plain ? new ProcessorRenderer(canvas) : makeWebGlRenderer(canvas);
-    this.Material = this.plain ? THREE.MeshLambertMaterial : THREE.MeshStandardMaterial;
+    this.renderer = makeRenderer(canvas);
     this.camera = new THREE.PerspectiveCamera(46, 1, 0.02, 20);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = true;
     this.controls.listenToKeyEvents(canvas);
 
     this.scene = new THREE.Scene();
-    if (this.plain) {
-      this.scene.add(new THREE.HemisphereLight("#fff", "#998", 1.2));
-    } else {
-      const studio = new THREE.PMREMGenerator(this.renderer);
-      this.scene.environment = studio.fromScene(new RoomEnvironment(), 0.04).texture;
-      this.scene.environmentIntensity = 0.45;
-    }
+    const studio = new THREE.PMREMGenerator(this.renderer);
+    this.scene.environment = studio.fromScene(new RoomEnvironment(), 0.04).texture;
+    this.scene.environmentIntensity = 0.45;
     this.world = new THREE.Group();
     this.world.applyMatrix4(WORLD);
     this.scene.add(this.world, this.#makeSun());
-    this.edges = this.plain ? 16 : 32; // per circle
-    this.ownHand = new OwnHand(this.Material, this.edges);
-    this.headsetHand = new OwnHand(this.Material, this.edges);
+    this.ownHand = new OwnHand(EDGES);
+    this.headsetHand = new OwnHand(EDGES);
     this.sign = new Sign();
     this.sign.visible = false;
     this.scene.add(this.headsetHand, this.sign);
     this.bodies = [];
-    this.yielding = false; // whether a hand tracker needs the processor
-    this.next = 0; // earliest time of the next picture, ms
-    this.durations = []; // of drawing the last pictures, ms
     this.target = new THREE.Vector3();
 
     new ResizeObserver(() => this.#resize()).observe(canvas);
@@ -77,7 +59,7 @@ export class View {
     this.world.clear();
     this.bodies = description.moving.map(() => new THREE.Group());
     this.world.add(...this.bodies, this.ownHand);
-    const meshes = await makeMeshes(description.geometries, this.Material, this.edges);
+    const meshes = await makeMeshes(description.geometries, EDGES);
     if (this.description !== description) return;
     for (const { moving, mesh } of meshes) (this.bodies[moving] ?? this.world).add(mesh);
     this.highlighted = undefined;
@@ -121,12 +103,10 @@ export class View {
 
   /** Draws in a headset; `onFrame(time, frame, space)` runs before each picture. */
   async enterHeadset(session, onFrame) {
-    // Only WebGL draws in a headset.
-    this.inHeadset = this.plain ? makeWebGlRenderer(document.createElement("canvas")) : this.renderer;
-    const { xr } = this.inHeadset;
+    this.inHeadset = true;
+    const { xr } = this.renderer;
     xr.enabled = true;
     xr.setReferenceSpaceType("local-floor");
-    this.inHeadset.setAnimationLoop((time, frame) => this.#draw(time, frame));
     await xr.setSession(session);
     this.onFrame = onFrame;
     this.world.position.copy(HEADSET_TARGET).sub(this.target);
@@ -135,8 +115,7 @@ export class View {
   }
 
   leaveHeadset() {
-    this.inHeadset.xr.enabled = false;
-    if (this.plain) this.inHeadset.dispose();
+    this.renderer.xr.enabled = false;
     this.inHeadset = this.onFrame = undefined;
     this.world.position.set(0, 0, 0);
     this.sign.visible = false;
@@ -174,7 +153,7 @@ export class View {
 
   #makeSun() {
     this.sun = new THREE.DirectionalLight("#fff6ea", 1.9);
-    this.sun.castShadow = !this.plain;
+    this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(2048, 2048);
     this.sun.shadow.radius = 5;
     this.sun.shadow.normalBias = 0.004;
@@ -187,40 +166,26 @@ export class View {
   #resize() {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (this.inHeadset || !width || !height) return;
-    const most = this.plain ? Math.sqrt(MOST_PIXELS / (width * height)) : 2;
-    const scale = Math.min(devicePixelRatio, most);
-    this.renderer.setSize(Math.round(scale * width), Math.round(scale * height), false);
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
     this.stale = true;
   }
 
   #draw(time, frame) {
-    const began = performance.now();
-    if (frame) this.onFrame?.(time, frame, this.inHeadset.xr.getReferenceSpace());
+    if (frame) this.onFrame?.(time, frame, this.renderer.xr.getReferenceSpace());
     else if (this.inHeadset) return;
     else this.controls.update();
     // Drawing only after a change leaves time for the hand tracker.
-    if (!frame && (!this.stale || time < this.next)) return;
+    if (!frame && !this.stale) return;
     this.stale = false;
     this.#move();
-    (this.inHeadset ?? this.renderer).render(this.scene, this.camera);
-    if (!this.plain || !this.yielding) return;
-    this.durations = [performance.now() - began, ...this.durations].slice(0, TIMED_PICTURES);
-    this.next = Math.max(time, this.next + INTERVAL * Math.min(...this.durations));
+    this.renderer.render(this.scene, this.camera);
   }
 }
 
-function hasGpu() {
-  const gl = document.createElement("canvas").getContext("webgl2");
-  if (!gl) return false;
-  const names = gl.getExtension("WEBGL_debug_renderer_info");
-  const name = names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "";
-  gl.getExtension("WEBGL_lose_context")?.loseContext();
-  return !SOFTWARE.test(name);
-}
-
-function makeWebGlRenderer(canvas) {
+function makeRenderer(canvas) {
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   renderer.shadowMap.enabled = true;
   renderer.toneMapping = THREE.ACESFilmicToneMapping;

@@ -3,14 +3,13 @@
 // Messages are first {canvas}, then {frame: VideoFrame or ImageBitmap, t}. Answers are {ready}, then {t, hand, aspect}
 // for each frame, or {failure}; `hand` is null or {world: 21 × [x, y, z] m, image: 21 × [u, v], score, side}.
 
-import { ProcessorCanvas } from "./processor_gl.js";
 import { drawSkeleton } from "./skeleton.js";
 
 // MediaPipe's own support of workers loads its models as scripts. With these two names it takes the page's way.
 self.window = self;
 self.document = {
   createElement(tag) {
-    if (tag === "canvas") return new ProcessorCanvas();
+    if (tag === "canvas") return new OffscreenCanvas(1, 1);
     return {
       setAttribute(name, value) {
         this[name] = value;

@@ -1,2 +1,2 @@
-// Without a GPU, pictures in an emulated headset take most of the time.
+// Draws nothing: without a GPU, pictures take most of the time.
 for (const draw of ["drawElements", "drawArrays"]) WebGL2RenderingContext.prototype[draw] = () => {};

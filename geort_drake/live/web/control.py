@@ -1,7 +1,6 @@
 """Carries out the page's commands in a session, and publishes the session's state to the page."""
 
 import math
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -11,17 +10,15 @@ from typing import Any
 import msgspec
 from pydrake.systems.framework import Context
 
-from geort_drake.console import say, warn
+from geort_drake.console import warn
 from geort_drake.errors import GeortError
 from geort_drake.live.teleoperation import Teleoperation
-from geort_drake.live.web.guide import GuidedPlay
-from geort_drake.live.web.messages import Disengage, Engage, Fist, Guide, Record, Refit, Reset, Stop
+from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation
-from geort_drake.live.web.personal_map import PersonalMap
 from geort_drake.people.recording_parts import RecordingParts
 from geort_drake.systems.glove_recorder import GloveRecorder
 
-_STATE_S, _GUIDE_S = 0.1, 1.0  # s between two states, and between two checks of guided play
+_STATE_S = 0.1  # s between two states
 WAITING = "begins when you engage"
 # Phase of a task in which disengaging by a fist drops nothing.
 UNTOUCHED = "reach"
@@ -42,8 +39,6 @@ class PageControl:
         station: source of commands.
         publish: sends a state to all pages.
         folder: folder of recordings.
-        personal_map: the map in use, which can be fitted to the person.
-        export: writes other files of a recording; see `SessionExports.write`.
     """
 
     def __init__(
@@ -51,11 +46,8 @@ class PageControl:
         station: OperatorStation,
         publish: Callable[[str], None],
         folder: Path,
-        personal_map: PersonalMap,
-        export: Callable[[Path, Path, bool], None],
     ):
         self._station, self._publish, self._folder = station, publish, folder
-        self._map, self._export = personal_map, export
         self.loop: Teleoperation
         self.recorder: GloveRecorder
         self.task: str | None = None
@@ -66,13 +58,10 @@ class PageControl:
         self._scene = 0
         self._facts: dict[str, Any] = {}
         self._root: Context
-        self._published = self._judged = -math.inf
+        self._published = -math.inf
         self._consent = False
-        self._private = tempfile.TemporaryDirectory(prefix="geort-drake-live-")
         self._parts: RecordingParts | None = None
         self._finishing: list[threading.Thread] = []
-        self._guide: GuidedPlay | None = None
-        self._missing: list[str] = []
 
     def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
         """Begins a session with the scene's number, and facts for recordings: robot, task, object, seed."""
@@ -80,7 +69,6 @@ class PageControl:
         self.task, self.object = facts.get("task"), facts.get("object")
         self._started = math.nan
         self.again = False
-        self._map.begin_session()
         recorder.switch(None)
 
     def end(self) -> None:
@@ -90,14 +78,12 @@ class PageControl:
         parts, self._parts = self._parts, None
         self.recorder.switch(None)
         facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
-        retargeter, simulated = self._map.file, self.loop.simulation is not None
 
-        # In a thread, because joining takes longer than a step of the loop, and exporting much longer.
+        # In a thread, because joining takes longer than a step of the loop.
         def finish() -> None:
             try:
                 if parts.finish(facts):
                     self.recordings.append(parts.path)
-                    self._export(parts.path, retargeter, simulated)
             except GeortError as error:
                 self.note = str(error)
                 warn(f"{parts.path}: {error}")
@@ -106,13 +92,9 @@ class PageControl:
         self._finishing[-1].start()
 
     def close(self) -> None:
-        """Waits until all recordings are written, and ends a running fit."""
-        if busy := sum(thread.is_alive() for thread in self._finishing):
-            say(f"Writing the files of recordings ({busy}); Ctrl-C keeps only the recordings themselves")
+        """Waits until all recordings are written."""
         for thread in self._finishing:
             thread.join()
-        self._map.close()
-        self._private.cleanup()
 
     def step(self, root: Context, engaged: bool) -> bool:
         """Carries out new commands; returns whether to engage the person."""
@@ -133,12 +115,6 @@ class PageControl:
             elif isinstance(command, Stop):
                 self._consent = False
                 self.end()
-            elif isinstance(command, Guide):
-                self._guide, self._missing = GuidedPlay(time.monotonic(), self._station.about.side), []
-            elif isinstance(command, Refit):
-                # Without consent, the person's play and map are deleted when the command ends.
-                kept = self._folder if self._consent else Path(self._private.name)
-                self._map.begin_fit(self._guide, self._station.about.hand, kept)
         if self._parts is not None and self._parts.failed:
             self._consent = False
             self.end()
@@ -148,21 +124,15 @@ class PageControl:
         # Recording begins at the engagement, because a replay follows from its start.
         if engaged and self._consent and self._parts is None:
             self._record()
-        self._map.step(self.loop, root)
         now = time.monotonic()
-        if self._guide is not None:
-            self._guide.see(now, self._station.p_HK)
-            if now - self._judged >= _GUIDE_S:
-                self._judged, self._missing = now, self._guide.missing()
         if now - self._published >= _STATE_S:
             self._published = now
             self._publish(msgspec.json.encode(self._state(root, engaged)).decode())
         return engaged
 
     def _fist_counts(self, engaged: bool) -> bool:
-        """Whether a held fist is a command: only in a simulation, outside guided play and grasps."""
-        guided = self._guide is not None and self._guide.seconds_left > 0.0
-        if guided or self._station.about.robot != "simulation":
+        """Whether a held fist is a command: only in a simulation, and not while something is held."""
+        if self._station.about.robot != "simulation":
             return False
         outcome = self.loop.outcome(self._root)
         return not engaged or outcome is None or outcome.over or self.loop.phase(self._root) == UNTOUCHED
@@ -176,7 +146,7 @@ class PageControl:
             "source": "live web page",
             "consent": True,
             "device": operator and operator.device,
-            "map": "map fitted to the person" if self._map.is_fitted else self._station.about.map,
+            "map": self._station.about.map,
             "began": self._clock(self._root),
             **self._facts,
         }
@@ -190,7 +160,7 @@ class PageControl:
         self.recorder.switch(self._parts)
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
-        station, guide = self._station, self._guide
+        station = self._station
         return {
             "type": "state",
             "scene": self._scene,
@@ -210,13 +180,6 @@ class PageControl:
             "operator": station.operator is not None,
             "spectators": station.spectators,
             "recording": self._parts.path.name if self._parts else WAITING if self._consent else None,
-            "guide": guide
-            and {
-                "instruction": guide.instruction,
-                "seconds_left": guide.seconds_left,
-                "missing": self._missing,
-            },
-            "refit": self._map.state,
         }
 
     def _clock(self, root: Context) -> float:
@@ -237,4 +200,4 @@ class PageControl:
 
     def _delay(self) -> dict[str, Any]:
         assert self.loop.meter is not None  # a glove stream has stamps
-        return msgspec.to_builtins(self.loop.meter.to_command(_NEWEST))
+        return self.loop.meter.delay(_NEWEST)

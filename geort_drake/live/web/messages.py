@@ -85,19 +85,11 @@ class Stop(Message):
     """Ends the recording and withdraws the consent to further ones."""
 
 
-class Guide(Message):
-    """Starts guided play."""
-
-
-class Refit(Message):
-    """Fits the map to the guided play."""
-
-
 class Fist:
     """A held fist, which toggles engagement. No page sends it; the station detects it."""
 
 
-Request = Engage | Disengage | Reset | Record | Stop | Guide | Refit
+Request = Engage | Disengage | Reset | Record | Stop
 Command = Request | Fist
 Hand = Camera | Headset | Lost
 _DECODER = msgspec.json.Decoder(Hello | Hand | Request)

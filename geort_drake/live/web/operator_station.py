@@ -21,12 +21,10 @@ from geort_drake.live.web.messages import (
     Disengage,
     Engage,
     Fist,
-    Guide,
     Hand,
     Headset,
     Hello,
     Lost,
-    Refit,
     Reset,
     decode,
 )
@@ -230,7 +228,7 @@ class OperatorStation:
             if command.object not in (None, *objects):
                 raise LiveError(f"no object '{command.object}'; there are {', '.join(objects)}")
         if self.about.robot != "simulation":
-            if isinstance(command, Reset | Guide | Refit):
+            if isinstance(command, Reset):
                 raise LiveError("this is for the simulation; here a real robot moves")
             now = self._clock()
             if isinstance(command, Engage) and now - operator.asked > _CONFIRM_S:
