@@ -5,7 +5,7 @@ import tempfile
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geort_drake.hands.mirror import canonical_kinematics
+from geort_drake.hands.hand import canonical_kinematics
 
 
 def make(hand):

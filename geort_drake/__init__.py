@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from geort_drake.comparison.train import train_checkpoint as train_checkpoint
     from geort_drake.hands.assembly import add_hand_model as add_hand_model
     from geort_drake.hands.description import load_hand as load_hand
+    from geort_drake.hands.hand import Hand as Hand
     from geort_drake.hands.model import HandModel as HandModel
     from geort_drake.people.play import synthesize_play as synthesize_play
     from geort_drake.people.readers import read_recording as read_recording
@@ -68,6 +69,7 @@ __version__ = "0.1.0"
 _MODULES = {
     "ActionCorrection": "systems.action_correction",
     "GloveReplay": "systems.glove_replay",
+    "Hand": "hands.hand",
     "HandModel": "hands.model",
     "Recording": "people.recording",
     "Retargeter": "retargeting.retargeter",

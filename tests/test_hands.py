@@ -14,11 +14,11 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake import HandModel, load_hand, load_scenario
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import add_hand_model
-from geort_drake.hands.chains import finger_links, palm_links
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import CouplingDescription, HandDescription, write_description
 from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
+from geort_drake.hands.links import finger_links, palm_links
 from geort_drake.simulation.world import add_scene
 from geort_drake.systems.scene_view import SceneView
 

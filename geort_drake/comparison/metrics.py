@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import HandError, RecordingError
-from geort_drake.hands.mirror import canonical_kinematics
+from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import PINCH_M, Recording
 from geort_drake.retargeting.clouds import voxel_thinned

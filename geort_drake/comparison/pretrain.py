@@ -9,8 +9,9 @@ import torch
 from geort_drake.console import progress_bar
 from geort_drake.errors import UnknownNameError
 from geort_drake.files import reserved
+from geort_drake.hands.collision_shapes import canonical_shapes
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
+from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.retargeting.map_file import MAX_BYTES, MapFile
 from geort_drake.retargeting.methods.coupled import UNIVERSAL_CONFIG, CoupledConfig

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from geort_drake.comparison import train
 from geort_drake.errors import BenchmarkError, MethodError, UnknownNameError
-from geort_drake.hands.mirror import canonical_kinematics
+from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.checkpoint import CONFIG

@@ -18,8 +18,9 @@ from geort_drake.comparison.metrics import evaluate
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError
 from geort_drake.files import locked, require_writable, reserved, source_digest
+from geort_drake.hands.collision_shapes import canonical_shapes
 from geort_drake.hands.description import HandDescription, load_hand
-from geort_drake.hands.mirror import canonical_kinematics, canonical_shapes
+from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.hands.model import HandModel
 from geort_drake.people.coverage import finger_motions
 from geort_drake.people.play import synthesize_play

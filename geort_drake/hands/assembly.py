@@ -25,7 +25,6 @@ from pydrake.multibody.tree import (
 from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
-from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import HandDescription, load_hand, resolved_couplings
 from geort_drake.hands.model_files import (
     check_model_values,
@@ -72,7 +71,7 @@ def add_hand_model(
     detach_from_world(plant, hand)
     _add_base(plant, hand, description, source)
     _set_default_positions(plant, hand, description, source)
-    couplings = followers(description)
+    couplings = description.followers
     moving = {*description.joint_names, *(coupling.joint for coupling in couplings)}
     for joint in _joints(plant, hand):
         if joint.num_positions() and joint.name() not in moving:
@@ -241,7 +240,7 @@ def _actuate(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandD
 
     Without gains, the model's own are kept, and servos of followers are added to those of their leaders.
     """
-    gains, couplings = description.actuation, followers(description)
+    gains, couplings = description.actuation, description.followers
     for coupling in couplings:
         joint = plant.GetJointByName(coupling.joint, hand)
         if gains.stiffness == 0:

@@ -29,9 +29,9 @@ from pydrake.geometry import (
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
-from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.collision_shapes import unsupported_shape
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
+from geort_drake.hands.links import joint_paths
 
 # Pairs whose distance depends on at most _GRID_JOINTS joints are checked at _GRID_SIZE angles of each.
 _GRID_JOINTS, _GRID_SIZE = 2, 13
@@ -73,7 +73,7 @@ class HandClearance:
         HandError: the hand has collision geometry other than boxes, spheres, cylinders, capsules and meshes.
     """
 
-    def __init__(self, hand: HandModel, clearance: float, joints: Sequence[str] | None = None):
+    def __init__(self, hand: Hand, clearance: float, joints: Sequence[str] | None = None):
         self._hand, self._clearance = hand, clearance
         self._plant, self._inspector = hand.plant, hand.scene_graph.model_inspector()
         # The joints of q and their followers.

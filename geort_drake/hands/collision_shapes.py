@@ -19,9 +19,9 @@ from pydrake.geometry import (
 )
 
 from geort_drake.errors import HandError
-from geort_drake.hands.chains import joint_paths
+from geort_drake.hands.hand import Hand
 from geort_drake.hands.kinematics import CollisionShapes
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.links import joint_paths
 
 # For corrections: random postures, and those of them in which a pair must be near.
 POSTURES, NEAR_POSTURES = 600, 5
@@ -29,7 +29,7 @@ NEAR, FAR = 0.003, 0.02  # m; a pair is near up to the first distance, and is me
 QUANTILE = 1 / 3  # of the differences; the median misses twice as many collisions
 
 
-def collision_shapes(hand: HandModel) -> CollisionShapes:
+def collision_shapes(hand: Hand) -> CollisionShapes:
     """Returns the boxes and spheres of a hand, and the pairs of them that must not touch.
 
     Boxes and spheres stay the same. A cylinder becomes a box of equal length and cross-sectional area, and a
@@ -83,8 +83,18 @@ def collision_shapes(hand: HandModel) -> CollisionShapes:
     return replace(shapes, correction=_corrections(hand, shapes, source, is_mesh))
 
 
+def canonical_shapes(hand: Hand) -> CollisionShapes:
+    """Returns the hand's collision shapes; a left hand's are mirrored as by `canonical_kinematics`.
+
+    Raises:
+        HandError: as `collision_shapes`.
+    """
+    shapes = collision_shapes(hand)
+    return shapes.mirrored() if hand.description.side == "left" else shapes
+
+
 def _corrections(
-    hand: HandModel, shapes: CollisionShapes, source: Sequence[GeometryId], is_mesh: np.ndarray
+    hand: Hand, shapes: CollisionShapes, source: Sequence[GeometryId], is_mesh: np.ndarray
 ) -> np.ndarray:
     """Returns (P,) the difference, m, between Drake's distance and the gap of each pair with a mesh.
 

@@ -124,6 +124,11 @@ class HandDescription:
         """The human keypoint that each fingertip follows, in the order of fingertips."""
         return [finger.human_keypoint for finger in self.fingers]
 
+    @property
+    def followers(self) -> list[CouplingDescription]:
+        """The joints that follow those of fingers, directly or through others, each with its first leader."""
+        return [c for c in resolved_couplings(self.couplings) if c.follows in self.joint_names]
+
     def validate(self) -> None:
         """Checks everything that can be checked without the model.
 
@@ -210,6 +215,28 @@ def resolved_couplings(couplings: list[CouplingDescription]) -> list[CouplingDes
         return CouplingDescription(coupling.joint, above.follows, coupling.ratio * above.ratio, offset)
 
     return [resolve(coupling, set()) for coupling in couplings]
+
+
+class JointCouplings:
+    """The K followers of a hand, with angles ratio · q + offset.
+
+    Attributes:
+        names: the K joint names.
+        ratio: (K, n) factors on q.
+        offset: (K,) constant angles, rad.
+    """
+
+    def __init__(self, description: HandDescription):
+        followers, joints = description.followers, description.joint_names
+        self.names = [coupling.joint for coupling in followers]
+        self.ratio = np.zeros((len(followers), len(joints)))
+        for row, coupling in zip(self.ratio, followers, strict=True):
+            row[joints.index(coupling.follows)] = coupling.ratio
+        self.offset = np.array([coupling.offset for coupling in followers], float)
+
+    def with_followers(self, q: np.ndarray) -> np.ndarray:
+        """Returns (N, n + K) angles: q (N, n), then those of the followers, rad."""
+        return np.hstack([q, q @ self.ratio.T + self.offset]) if self.names else q
 
 
 def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescription:

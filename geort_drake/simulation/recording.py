@@ -12,8 +12,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, Outpu
 
 from geort_drake import __version__
 from geort_drake.colours import finger_colors
-from geort_drake.hands.chains import PlantFingertips, finger_links
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.links import PlantFingertips, finger_links
 from geort_drake.rerun import (
     CloseUpSpec,
     ContactSpec,

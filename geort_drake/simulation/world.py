@@ -20,9 +20,8 @@ from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError
 from geort_drake.hands.assembly import add_hand_model, add_models
-from geort_drake.hands.couplings import position_limits
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model import tip_geometries
+from geort_drake.hands.links import position_limits, tip_geometries
 from geort_drake.resources import PACKAGE_NAME, resource_root
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario, object_file

@@ -10,9 +10,8 @@ from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import Context, InputPort, ValueProducer
 
-from geort_drake.hands.chains import finger_links
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model import tip_geometries
+from geort_drake.hands.links import finger_links, tip_geometries
 from geort_drake.systems.contacts import bodies_of_geometries, contact_geometries, contact_rows
 from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.python_system import PythonSystem, weak_callback

@@ -6,6 +6,7 @@ import numpy as np
 from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 
+from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.finger_names import (
     fingers_by_name,
     fingers_by_position,
@@ -14,7 +15,6 @@ from geort_drake.hands.importers.finger_names import (
 )
 from geort_drake.hands.importers.fingertips import Part, parts_of
 from geort_drake.hands.importers.structure import Chain, HandStructure
-from geort_drake.hands.model import HandModel
 
 POSTURES = 300  # number of random postures
 _STRETCH_GRID = 7
@@ -57,9 +57,7 @@ class _Finger:
         return v - np.outer(v @ self.direction, self.direction)
 
 
-def arrange(
-    structure: HandStructure, hand: HandModel, notes: list[str]
-) -> tuple[list[str], RigidTransform, str]:
+def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[list[str], RigidTransform, str]:
     """Finds the finger name of each chain, the pose X_RB of the hand base in the root link R, and the side.
 
     Args:
@@ -126,7 +124,7 @@ def arrange(
     return named, RigidTransform(RotationMatrix(R_RB), wrist), side
 
 
-def _stretched(structure: HandStructure, hand: HandModel) -> list[_Finger]:
+def _stretched(structure: HandStructure, hand: Hand) -> list[_Finger]:
     """Moves the hand through random postures and stretches each finger."""
     q = hand.sample(POSTURES)
     p_RF = hand.fingertips(q)

@@ -9,7 +9,7 @@ from pydrake.multibody.tree import Joint
 from scipy.optimize import least_squares
 
 from geort_drake.errors import listed
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 
 # Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
@@ -26,13 +26,13 @@ _ORDER_MARGIN = 0.005
 _SHORT_LINK = 0.012
 
 
-def examine(hand: HandModel) -> list[str]:
+def examine(hand: Hand) -> list[str]:
     """Returns sentences that name the hand's faults, most important first."""
     checks = (_lengths, _limits, _pinches, _orientation, _collisions, _masses)
     return [text for check in checks for text in check(hand)]
 
 
-def contact_fractions(hand: HandModel) -> dict[tuple[str, str], float]:
+def contact_fractions(hand: Hand) -> dict[tuple[str, str], float]:
     """Maps pairs of links, except fingertips, to the fraction of random postures in which they touch."""
     counts: Counter[tuple[str, str]] = Counter()
     for q in hand.sample(_POSTURES):
@@ -40,7 +40,7 @@ def contact_fractions(hand: HandModel) -> dict[tuple[str, str], float]:
     return {pair: count / _POSTURES for pair, count in counts.items()}
 
 
-def _lengths(hand: HandModel) -> list[str]:
+def _lengths(hand: Hand) -> list[str]:
     found, (low, high) = [], _FINGER_LENGTHS
     for chain in hand.kinematics().fingers:
         length = _link_lengths(chain.X_PJ, chain.p_tip).sum()
@@ -51,7 +51,7 @@ def _lengths(hand: HandModel) -> list[str]:
     return found
 
 
-def _limits(hand: HandModel) -> list[str]:
+def _limits(hand: Hand) -> list[str]:
     found = []
     for name, low, high in zip(hand.joint_names, hand.lower, hand.upper, strict=True):
         degrees = f"from {np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} degrees"
@@ -65,7 +65,7 @@ def _limits(hand: HandModel) -> list[str]:
     return found
 
 
-def _pinches(hand: HandModel) -> list[str]:
+def _pinches(hand: Hand) -> list[str]:
     if "thumb" not in hand.finger_names:
         return ["no finger is called thumb, so the hand cannot pinch"]
     thumb = hand.description.fingers[0]
@@ -82,7 +82,7 @@ def _pinches(hand: HandModel) -> list[str]:
     return found
 
 
-def nearest_pinch(hand: HandModel, number: int) -> float:
+def nearest_pinch(hand: Hand, number: int) -> float:
     """Finds the smallest distance, m, between the tips of finger 0 and `number`; ignores collisions."""
     q = hand.sample(_PINCH_SAMPLES)
     p_BF = hand.fingertips(q)
@@ -98,7 +98,7 @@ def nearest_pinch(hand: HandModel, number: int) -> float:
     )
 
 
-def _orientation(hand: HandModel) -> list[str]:
+def _orientation(hand: Hand) -> list[str]:
     """Finds faults in the fingers' positions relative to the axes of the hand base."""
     found = []
     p_BF = hand.fingertips(hand.sample(_PINCH_SAMPLES // 4))
@@ -120,7 +120,7 @@ def _orientation(hand: HandModel) -> list[str]:
     return found
 
 
-def _collisions(hand: HandModel) -> list[str]:
+def _collisions(hand: Hand) -> list[str]:
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     if inspector.NumGeometriesWithRole(Role.kProximity) == 0:
         return [
@@ -152,7 +152,7 @@ def _collisions(hand: HandModel) -> list[str]:
     return found
 
 
-def _masses(hand: HandModel) -> list[str]:
+def _masses(hand: Hand) -> list[str]:
     plant, light = hand.plant, []
     for joint, _ in _links(hand):
         moved = map(plant.get_body, plant.GetBodiesKinematicallyAffectedBy([joint.index()]))
@@ -164,7 +164,7 @@ def _masses(hand: HandModel) -> list[str]:
     return found
 
 
-def _links(hand: HandModel) -> list[tuple[Joint, float]]:
+def _links(hand: Hand) -> list[tuple[Joint, float]]:
     """Returns the fingers' joints and the lengths of their links, m: from a joint to the next or the tip."""
     joints: list[tuple[Joint, float]] = []
     for chain in hand.kinematics().fingers:

@@ -9,8 +9,6 @@ from pydrake.geometry import Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
 
 from geort_drake.errors import listed
-from geort_drake.hands.chains import joint_paths
-from geort_drake.hands.couplings import position_limits
 from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
@@ -18,12 +16,13 @@ from geort_drake.hands.description import (
     FingerDescription,
     HandDescription,
 )
+from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.arrangement import POSTURES, arrange
 from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
 from geort_drake.hands.importers.couplings import coupling_notes
 from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, parts_of
 from geort_drake.hands.importers.structure import Chain, HandStructure, read_structure
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.links import joint_paths, position_limits
 from geort_drake.hands.model_files import read_model
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
@@ -79,7 +78,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
         ],
     )
     draft.default_positions = _default_positions(structure, draft)
-    hand = HandModel(draft)
+    hand = Hand(draft)
     names, X_RB, side = arrange(structure, hand, notes)
     guessed: dict[str, list[str]] = {}
     for tip, label in zip(tips, names, strict=True):
@@ -115,7 +114,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     )
     if side == "left":
         description.mount.rpy_deg = list(_LEFT_MOUNT)
-    hand = HandModel(description)
+    hand = Hand(description)
     # The rearmost part touches the arm.
     description.mount.translation = [0.0, 0.0, round(_depth(hand), 3)]
     start = _free_posture(hand)
@@ -126,7 +125,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     return Proposal(description, notes)
 
 
-def _overlaps(hand: HandModel) -> dict[tuple[str, str], float]:
+def _overlaps(hand: Hand) -> dict[tuple[str, str], float]:
     """Maps pairs of links with overlapping shapes to the fraction of random postures in which they touch.
 
     Such links touch in all postures, or frequently if at most two joints separate them and one has a mesh,
@@ -172,7 +171,7 @@ def _default_positions(structure: HandStructure, description: HandDescription) -
     return positions
 
 
-def _free_posture(hand: HandModel) -> np.ndarray | None:
+def _free_posture(hand: Hand) -> np.ndarray | None:
     """Returns (n,) joint positions without self-collision, near the default ones, or None."""
     start = hand.default_position
     for opening in _OPENINGS:
@@ -184,7 +183,7 @@ def _free_posture(hand: HandModel) -> np.ndarray | None:
     return free[np.linalg.norm(free - start, axis=1).argmin()] if len(free) else None
 
 
-def _depth(hand: HandModel) -> float:
+def _depth(hand: Hand) -> float:
     """Returns how far the collision geometry extends behind the hand base in the default posture, m."""
     links = map(hand.plant.get_body, hand.plant.GetBodyIndices(hand.instance))
     base = hand.plant.GetFrameByName(hand.description.base_frame, hand.instance)

@@ -17,9 +17,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.hands.assembly import detach_from_world, parse_model
-from geort_drake.hands.chains import joint_paths
 from geort_drake.hands.description import CouplingDescription, resolved_couplings
 from geort_drake.hands.importers.couplings import read_couplings
+from geort_drake.hands.links import joint_paths
 
 MAX_FINGERS = 5
 # A second branch of a finger is a separate finger if it has this many joints of its own.

@@ -9,9 +9,8 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.assembly import add_hand_model
-from geort_drake.hands.chains import palm_links
-from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.links import palm_links
 from geort_drake.simulation.world import add_object
 from geort_drake.simulation.wrist_motion import WristMovement
 
@@ -55,7 +54,7 @@ class GraspApproach:
         self._plant.Finalize()
         self._joints = {
             name: self._plant.GetJointByName(name, hand)
-            for name in [*description.joint_names, *(c.joint for c in followers(description))]
+            for name in [*description.joint_names, *(c.joint for c in description.followers)]
         }
         self._base = self._plant.GetFrameByName(description.base_frame, hand)
         (root,) = self._plant.GetFloatingBaseBodies()

@@ -9,11 +9,9 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.hands.chains import palm_links
-from geort_drake.hands.couplings import followers
 from geort_drake.hands.description import FingerDescription, HandDescription
 from geort_drake.hands.importers.fingertips import parts_of
-from geort_drake.hands.model import tip_geometries
+from geort_drake.hands.links import palm_links, tip_geometries
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.contacts import Contact
@@ -137,7 +135,7 @@ class GraspKinematics:
         q, arm = np.tile(self.q_default, (number, 1)), self._arm_positions()
         q[:, arm] = q_touch[arm]
         q[1:, joints] = np.random.default_rng(0).uniform(low[joints], high[joints], (number - 1, len(joints)))
-        for c in followers(self._description):
+        for c in self._description.followers:
             q[:, self._position_index(c.joint)] = c.ratio * q[:, self._position_index(c.follows)] + c.offset
         p_OT = self._thumb_tip(q_touch)
         nearest = np.argsort([np.linalg.norm(self._thumb_tip(one) - p_OT) for one in q])
@@ -195,7 +193,7 @@ class GraspKinematics:
         for finger in self._description.fingers:
             for name in finger.joints:
                 weight[self._position_index(name)] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
-        for c in followers(self._description):
+        for c in self._description.followers:
             index = self._position_index(c.joint)
             weight[index] = 0.0  # it follows its leader, which has a weight
             difference = ik.q()[index] - c.ratio * ik.q()[self._position_index(c.follows)]
@@ -211,7 +209,7 @@ class GraspKinematics:
         for finger in self._grasping:
             for name in finger.joints:
                 q[self._position_index(name)] = middle[self._position_index(name)]
-        for c in followers(self._description):
+        for c in self._description.followers:
             q[self._position_index(c.joint)] = c.ratio * q[self._position_index(c.follows)] + c.offset
         return q
 

@@ -1,17 +1,17 @@
-"""Links, serial chains and fingertips of a hand in a Drake plant."""
+"""Links, joint limits, chains and fingertips of a hand in any Drake plant."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
+from pydrake.geometry import GeometryId, Role, SceneGraphInspector
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, Joint, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
-from geort_drake.hands.couplings import JointCouplings, followers
-from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.hands.description import FingerDescription, HandDescription, JointCouplings
 from geort_drake.hands.kinematics import FingerChain
 
 
@@ -43,7 +43,7 @@ def finger_links(
     finger_of = {
         joint: number for number, finger in enumerate(description.fingers) for joint in finger.joints
     }
-    finger_of |= {c.joint: finger_of[c.follows] for c in followers(description)}
+    finger_of |= {c.joint: finger_of[c.follows] for c in description.followers}
     links: list[list[RigidBody]] = [[] for _ in description.fingers]
     for index, path in joint_paths(plant, hand).items():
         fingers = [finger_of[joint.name()] for joint in path if joint.name() in finger_of]
@@ -58,6 +58,53 @@ def palm_links(
     """Returns the links that no finger moves; arguments as for `finger_links`."""
     moved = {body.index() for links in finger_links(plant, description, hand) for body in links}
     return [plant.get_body(index) for index in plant.GetBodyIndices(hand) if index not in moved]
+
+
+def tip_geometries(
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+    hand: ModelInstanceIndex,
+    fingers: Iterable[FingerDescription],
+) -> list[GeometryId]:
+    """Returns the collision geometries of tip links with "tip" in their names; all of a link without any."""
+    tips: list[GeometryId] = []
+    for finger in fingers:
+        link = plant.GetFrameByName(finger.tip_link, hand).body()
+        frame = plant.GetBodyFrameIdOrThrow(link.index())
+        everything = inspector.GetGeometries(frame, Role.kProximity)  # the plant's list would keep it alive
+        tips += [id for id in everything if "tip" in inspector.GetName(id).split("::")[-1]] or everything
+    return tips
+
+
+def position_limits(
+    plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex, source: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns lower and upper limits (n,) of q, rad, within which followers keep their own limits.
+
+    Args:
+        plant: plant with the hand.
+        description: the hand.
+        hand: model instance of the hand, from `add_hand_model`.
+        source: beginning of error messages.
+
+    Raises:
+        HandError: a follower would exceed its limits at every angle of its leader.
+    """
+    joints = [plant.GetJointByName(name, hand) for name in description.joint_names]
+    lower = np.array([joint.position_lower_limits()[0] for joint in joints])
+    upper = np.array([joint.position_upper_limits()[0] for joint in joints])
+    for c in description.followers:
+        leader, follower = description.joint_names.index(c.follows), plant.GetJointByName(c.joint, hand)
+        ends = np.array([follower.position_lower_limits()[0], follower.position_upper_limits()[0]])
+        low, high = np.sort((ends - c.offset) / c.ratio)
+        lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
+        if not lower[leader] < upper[leader]:
+            raise HandError(
+                f"{source}: joint '{c.joint}', which follows '{c.follows}', would exceed its limits "
+                f"[{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; correct its coupling or its "
+                "limits"
+            )
+    return lower, upper
 
 
 class PlantFingertips:
@@ -81,7 +128,7 @@ class PlantFingertips:
     ):
         names = list(joint_names)
         self._columns = [names.index(name) for name in description.joint_names]
-        self._couplings = JointCouplings.of(description)
+        self._couplings = JointCouplings(description)
         moving = [*description.joint_names, *self._couplings.names]
         self._order = [plant.GetJointByName(name, hand).position_start() for name in moving]
         self._plant, self._context = plant, plant.CreateDefaultContext()
@@ -120,7 +167,7 @@ def finger_chain(
         HandError: the joints between base and tip are not exactly the finger's and their followers.
     """
     where = f"{source}: finger '{finger.name}'"
-    couplings = {coupling.joint: coupling for coupling in followers(description)}
+    couplings = {coupling.joint: coupling for coupling in description.followers}
     tip = plant.GetBodyByName(finger.tip_link, base.model_instance())
     moving = [
         joint for joint in joint_paths(plant, base.model_instance())[tip.index()] if joint.num_positions()
