@@ -29,6 +29,16 @@ if TYPE_CHECKING:
 
 # Messages go to stderr, so stdout stays machine-readable; `quiet` silences all but warnings and errors.
 console = Console(stderr=True, highlight=False)
+# The extra that brings a package, which pip leaves out by default.
+_EXTRAS = {
+    "torch": "train",
+    "mujoco": "mjcf",
+    "onnxruntime": "onnx",
+    "ray": "ray",
+    "zmq": "live",
+    "aiohttp": "live",
+    "cryptography": "live",
+}
 # The losses shown while a method trains.
 _SHOWN_LOSSES = ("direction", "matching", "coverage", "pinch", "collision")
 
@@ -164,6 +174,11 @@ def exit_code_of(function: Callable[[], int | None]) -> int:
     except (GeortError, OSError) as error:
         _print_labelled("error", "red", error)
         return 2
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in _EXTRAS:
+            raise
+        _print_labelled("error", "red", missing_package_message(error))
+        return 2
     except MemoryError as error:
         _print_labelled("error", "red", f"not enough memory: {error}")
         return 2
@@ -173,6 +188,15 @@ def exit_code_of(function: Callable[[], int | None]) -> int:
             raise
         console.print("interrupted")
         return 130
+
+
+def missing_package_message(error: ModuleNotFoundError) -> str:
+    """Returns a sentence that names a package which is not installed, and how to install it."""
+    package = (error.name or "").partition(".")[0]
+    install = (
+        f"pip install 'geort-drake[{_EXTRAS[package]}]'" if package in _EXTRAS else f"pip install {package}"
+    )
+    return f"this needs the package {package}, which is not installed: {install}"
 
 
 def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:

@@ -12,7 +12,17 @@ from packaging.version import Version
 
 ROOT = Path(__file__).resolve().parents[1]
 # They judge the sources or build the site.
-TOOLS = {"build", "mypy", "ruff", "twine", "mkdocs", "mkdocs-material", "mkdocstrings", "latex2mathml"}
+TOOLS = {
+    "build",
+    "cogapp",
+    "mypy",
+    "ruff",
+    "twine",
+    "mkdocs",
+    "mkdocs-material",
+    "mkdocstrings",
+    "latex2mathml",
+}
 
 
 def ranges() -> dict[str, Requirement]:
