@@ -11,7 +11,7 @@ COMMANDS = (["npm", "ci", "--omit=dev", "--ignore-scripts"], ["npm", "run", "bui
 
 
 class PageBuildHook(BuildHookInterface):
-    """Runs npm in web/. Without it, the wheel has no page, and `geort-drake live` says so."""
+    """Runs npm in web/. Without npm, the wheel has no page, and `geort-drake live` says how to get it."""
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         web = Path(self.root) / "web"

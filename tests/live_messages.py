@@ -16,6 +16,8 @@ from geort_drake.people.keypoints import mirrored
 class Inbox:
     """A receiver into which a test puts messages."""
 
+    refusing = ""
+
     def __init__(self, *messages: bytes):
         self.messages = list(messages)
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import aiohttp
 import pytest
-from live_page import FLAT, PINCH, SCENE, STATE, WEB, require_built_page, require_package, serve
+from live_page import FLAT, PAGE, PINCH, SCENE, STATE, WEB, require_built_page, require_package, serve
 
 from geort_drake.live.web.messages import Engage
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
@@ -183,7 +183,7 @@ def test_the_page_tracks_the_hand_and_engages(browser, tmp_path):
     require_package("@webxr-input-profiles/assets")
     about = RobotInfo("right", "allegro_right", "simulation", {"grasp": ["cylinder"]}, "a map")
     station = OperatorStation(about)
-    server = WebServer(station, "127.0.0.1", 0, "key")
+    server = WebServer(station, "127.0.0.1", 0, "key", PAGE)
     try:
         asyncio.run(_track(browser(tmp_path / "profile"), server, station))
     finally:

@@ -270,7 +270,7 @@ def test_a_browser_without_webgl_is_told_that_the_page_needs_it(playwright, stub
 
 
 def test_an_old_address_is_refused_in_words(browser, stub):
-    server = WebServer(station(), "127.0.0.1", 0, "key")
+    server = WebServer(station(), "127.0.0.1", 0, "key", PAGE)
     try:
         page = open_page(browser, None, f"http://127.0.0.1:{server.port}/#old", NO_PICTURES)
         until(page, lambda: "Wrong key: open the address" in page.inner_text("#headline"))

@@ -17,12 +17,14 @@ from system_bench import SystemBench, Watch
 from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import LiveError, MismatchError, RecordingError
 from geort_drake.live.delay import DelayMeter
-from geort_drake.live.glove_stream import GloveStream
+from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream
 from geort_drake.live.messages import GloveFrame, encode_frame
-from geort_drake.live.session import EnterKey, play, run_in_real_time
+from geort_drake.live.sender_clock import SenderClock
+from geort_drake.live.session import STEADY_S, EnterKey, SteadyState, play, run_in_real_time
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_STALE
 from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.retargeting_status import LIMITED
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING, RetargetingStatus, RetargetingSystem
 
 PLAY = synthesize_play(4, duration_s=6.0, rate_hz=100.0)
@@ -71,6 +73,9 @@ def test_the_stream_gives_the_newest_frame_and_holds_it():
     assert bench.after(message(10, X_WH=[0.9, 0, 0, 0, 1, 2, 3]))["valid"] == 1
     assert bench.stream.repaired == 1
     assert "neither of format" in bench.stream.last_refusal
+    assert bench.stream.refusing == ""
+    bench.after(message(11, side="left"))
+    assert "a left hand is sent" in bench.stream.refusing
 
 
 def test_a_stamp_of_this_machines_clock_gives_the_time_of_sending():
@@ -94,7 +99,7 @@ def test_frames_that_come_late_are_not_followed():
 
     assert arrives(10.0, 0.15)
     assert arrives(10.1, 0.0)
-    assert bench.stream.clock_offset == pytest.approx(5000.0, abs=1e-3)
+    assert bench.stream.sender_clock.offset == pytest.approx(5000.0, abs=1e-3)
     assert arrives(10.2, 0.15) and not arrives(10.3, 0.25) and not arrives(10.4, 9.0)
     assert bench.after()["lateness"] == pytest.approx(9.0, abs=1e-2)
     assert arrives(10.5, 0.01)
@@ -104,7 +109,59 @@ def test_frames_that_come_late_are_not_followed():
     assert bench.stream.late == 2
     # Another sender with its own clock starts anew.
     assert bench.after(message(0, time=3.0))["valid"]
-    assert bench.stream.clock_offset == pytest.approx(bench.clock.now - 3.0)
+    assert bench.stream.sender_clock.offset == pytest.approx(bench.clock.now - 3.0)
+
+
+def slewed(rate: float, seconds: float):
+    """Stamps of a clock that runs right but for `seconds` from t = 5 s on, when it runs at `rate`."""
+    return lambda t: t - (1.0 - rate) * np.clip(t - 5.0, 0.0, seconds)
+
+
+def lateness(rate_hz: float, stamp, delay, seconds: float = 40.0, jitter: float = 0.002) -> np.ndarray:
+    """How late each frame seems that is sent at t, with the stamp `stamp(t)`, and takes `delay(t)`, s."""
+    sent = np.arange(0.0, seconds, 1.0 / rate_hz)
+    arrived = sent + delay(sent) + np.random.default_rng(0).uniform(0.0, jitter, len(sent))
+    clock, late = SenderClock(), []
+    for arrival, measured in zip(np.maximum.accumulate(arrived), stamp(sent), strict=True):
+        late.append(clock.lateness(arrival, measured))
+    return np.array(late)
+
+
+CLOCKS = {
+    "right": lambda t: t,
+    "slewed as fast as chrony does": slewed(1.0 - 0.083, 6.0),
+    "slewed slowly": slewed(1.0 - 0.02, 25.0),
+    "frame number over a rate 2 % too high": lambda t: t / 1.02,
+    "frame number over a rate 2 % too low": lambda t: t * 1.02,
+    "set back": lambda t: t - 0.5 * (t >= 5.0),
+    "set forward": lambda t: t + 0.5 * (t >= 5.0),
+}
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 100.0])
+@pytest.mark.parametrize("name", CLOCKS)
+def test_no_clock_makes_punctual_frames_late_for_ever(name, rate_hz):
+    """A clock that is set forward makes them seem early, which shows at once."""
+    late = lateness(rate_hz, CLOCKS[name], np.zeros_like)
+    assert (late[-round(5 * rate_hz) :] < 0.05).all()
+    assert np.mean(late > MAX_LATENESS_S) == 0.0
+
+
+DELAYS = {
+    "a queue grows by 8 %": lambda t: 0.08 * np.clip(t - 10.0, 0.0, 10.0),
+    "a queue grows by 5 %": lambda t: 0.05 * np.clip(t - 10.0, 0.0, None),
+    "a longer way": lambda t: 0.4 * (t >= 10.0),
+    "two longer ways": lambda t: 0.15 * (t >= 10.0) + 0.15 * (t >= 10.6),
+}
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 100.0])
+@pytest.mark.parametrize("name", DELAYS)
+def test_frames_that_are_really_late_stay_late(name, rate_hz):
+    """Whether they queue up on their way, or their way gets longer."""
+    late = lateness(rate_hz, lambda t: t, DELAYS[name])
+    assert (late[: round(10 * rate_hz)] < 0.05).all()
+    assert (late[round(20 * rate_hz) :] > MAX_LATENESS_S).all()
 
 
 def served(*batches: list[bytes]) -> GloveStream:
@@ -315,6 +372,18 @@ def test_settings_that_cannot_work_are_refused():
     for name, value in (("relax_after", 0.0), ("relax_speed", math.inf), ("ease_time", math.nan)):
         with pytest.raises(ValueError, match=name):
             Watchdog(LIMITS, SAFE, PERIOD, **{name: value})
+
+
+def test_a_state_is_shown_once_it_has_lasted():
+    """So that nothing flickers; limits that a moving hand reaches are not shown at all."""
+    steady = SteadyState()
+    assert steady.step(0.0, HELD_LOST) == HELD_LOST
+    for time in np.arange(0.1, 5.0, 0.1):
+        state = TRACKING if round(10 * time) % 2 else HELD_STALE
+        assert steady.step(time, state) == HELD_LOST
+    steady.step(4.95, HELD_STALE)
+    assert steady.step(5.0, TRACKING) == steady.step(5.0 + 0.9 * STEADY_S, LIMITED) == HELD_LOST
+    assert steady.step(5.01 + STEADY_S, TRACKING) == steady.step(6.0, LIMITED) == TRACKING
 
 
 def test_every_newline_of_a_pipe_is_a_press():

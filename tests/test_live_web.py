@@ -224,6 +224,26 @@ def test_a_page_that_sleeps_leaves_disengages_or_sets_its_clock_is_held_at_once_
     assert not [state for state in states if "limit" in state and not state.startswith("limited")]
 
 
+def test_whoever_is_refused_learns_why():
+    """In the state, which terminal and page show, and in the counts that the report gets."""
+    bench = toy_loop()
+    known(bench.station)
+    for i in range(50):
+        bench.station.take(1, headset(HANDSHAKE_FRAMES + i, 100.0 + 0.01 * i))
+        bench.step()
+    assert bench.state() == TRACKING
+    far = headset(0, 101.0).replace("[[", "[[99.0, ", 1)
+    for _ in range(40):
+        with pytest.raises(LiveError):
+            bench.station.take(1, far)
+        bench.step()
+    assert bench.state().startswith("held: ") and "joints" in bench.station.last_refusal
+    assert bench.state().endswith(f"; messages arrive but are refused: {bench.station.last_refusal}")
+    bench.station.take(1, headset(60, 102.0))
+    bench.step(0.03)
+    assert "refused" not in bench.state()
+
+
 def malformed(rng: np.random.Generator) -> str | bytes:
     """A message with one fault, or one that is well formed and absurd."""
     text = headset(int(rng.integers(len(PLAY.t))))

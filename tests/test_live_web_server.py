@@ -31,7 +31,7 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
 from geort_drake.live.web.messages import MAX_BYTES
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
-from geort_drake.live.web.serve import is_loopback, own_addresses, self_signed_context
+from geort_drake.live.web.serve import find_page, is_loopback, own_addresses, self_signed_context
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
 from geort_drake.systems.port_values import pose_to_vector
@@ -41,9 +41,9 @@ PATIENCE_S = 120.0  # a busy machine takes long to start a program
 
 
 @contextlib.contextmanager
-def serving(pages=None, tls=None):
+def serving(page=Path(__file__).parent, tls=None):
     operated = station()
-    server = WebServer(operated, "127.0.0.1", 0, KEY, tls, pages or Path("no-such-folder"))
+    server = WebServer(operated, "127.0.0.1", 0, KEY, page, tls)
     try:
         yield server, operated, f"{'https' if tls else 'http'}://127.0.0.1:{server.port}"
     finally:
@@ -86,10 +86,18 @@ async def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_pat
             for path in ("/mesh/1", "/..%2f..%2fetc/passwd", "/none.js"):
                 async with session.get(base + path) as answer:
                     assert answer.status == 404
-    # Without a built page it says how to build it.
-    with serving() as (_, _, base):
-        async with aiohttp.ClientSession() as session, session.get(base) as answer:
-            assert "make live" in await answer.text()
+
+
+def test_the_page_is_taken_from_the_package_or_the_clone_and_its_absence_is_told_with_the_mend(tmp_path):
+    """Before anything is served: a wheel that was built without Node.js has no page."""
+    installed, clone = tmp_path / "site-packages/static", tmp_path / "clone"
+    with pytest.raises(LiveError, match=r"Install Node\.js 20 .* `make live`"):
+        find_page(installed, clone / "docs")
+    built = clone / "geort_drake/live/web/static"
+    for page in (built, installed):
+        page.mkdir(parents=True)
+        (page / "index.html").write_text("a page")
+        assert find_page(installed, clone / "docs") == page
 
 
 @asynchronous
@@ -117,7 +125,7 @@ async def test_a_wrong_key_a_foreign_page_and_a_ninth_connection_are_turned_away
 def test_a_port_in_use_is_an_error_in_words():
     with serving() as (server, station, _):
         with pytest.raises(LiveError, match=str(server.port)):
-            WebServer(station, "127.0.0.1", server.port, KEY)
+            WebServer(station, "127.0.0.1", server.port, KEY, Path(__file__).parent)
 
 
 @asynchronous

@@ -10,6 +10,7 @@ from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
+from geort_drake.live.glove_stream import NOTABLE_DRIFT
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import SessionReport
 from geort_drake.live.teleoperation import Teleoperation
@@ -48,13 +49,15 @@ def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | Non
         summary["glove"] = {
             "received": glove.received,
             "refused": glove.refused,
+            "last_refusal": glove.last_refusal or None,
             "late": glove.late,
             "repaired": glove.repaired,
-            "clock_offset_s": None if math.isnan(glove.clock_offset) else glove.clock_offset,
+            "clock_offset_s": offset if math.isfinite(offset := glove.sender_clock.offset) else None,
+            "largest_clock_drift": glove.largest_drift,
         }
         summary["delay_s"] = meter.delay()
     if link:
-        summary["robot"] = {"refused": link.inbox.refused}
+        summary["robot"] = {"refused": link.inbox.refused, "last_refusal": link.inbox.last_refusal or None}
     return summary
 
 
@@ -70,6 +73,12 @@ def print_summary(summary: dict) -> None:
         )
         if counts["clock_offset_s"] is not None:
             say(f"glove: the fastest frame arrived {counts['clock_offset_s']:.3f} s after its time stamp")
+        if counts["largest_clock_drift"] > NOTABLE_DRIFT:
+            drift = 100 * counts["largest_clock_drift"]
+            warn(f"glove: its clock ran up to {drift:.1f} % slow; its time stamps were corrected")
+    for name in ("glove", "robot"):
+        if reason := summary.get(name, {}).get("last_refusal"):
+            warn(f"{name}: {summary[name]['refused']} messages were refused, the last: {reason}")
     if summary["late"]:
         warn(f"the loop was late {summary['late']} times")
     say("stopped; the robot holds its last command")

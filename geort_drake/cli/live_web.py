@@ -15,7 +15,7 @@ from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.live.web.serve import open_server
+from geort_drake.live.web.serve import find_page, open_server
 from geort_drake.live.web.session import WebTeleoperation
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario
@@ -31,6 +31,7 @@ def run_web(
     arguments: argparse.Namespace, scenario: Scenario, description: HandDescription, lcm_url: str | None
 ) -> int:
     """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
+    page = find_page()
     if arguments.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
     if arguments.record:
@@ -54,7 +55,7 @@ def run_web(
     robot = "lcm" if lcm_url else "simulation"
     about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
     station = OperatorStation(about)
-    with open_server(station, arguments.host, arguments.port, not arguments.no_open) as server:
+    with open_server(station, page, arguments.host, arguments.port, not arguments.no_open) as server:
         control = PageControl(station, server.publish, arguments.record or _RECORDINGS)
         teleoperation = WebTeleoperation(
             scenarios,
@@ -83,7 +84,8 @@ def run_web(
     summary = summary_of(report, loop, link)
     # A page's clock starts when the page is loaded, so its offset is meaningless.
     counts = {"received": station.received, "refused": station.refused + server.dropped}
-    summary["glove"] |= {**counts, "clock_offset_s": None}
+    reason = {"last_refusal": station.last_refusal or None}
+    summary["glove"] |= {**counts, **reason, "clock_offset_s": None, "largest_clock_drift": 0.0}
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]

@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.messages import GloveFrame, decode
+from geort_drake.live.sender_clock import SenderClock
 from geort_drake.live.transports import Receiver, wait_for
 from geort_drake.people.checks import anatomy, refuse
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
@@ -24,8 +25,8 @@ POLL_PERIOD, _AHEAD = 0.002, 1e-4
 _SAME_CLOCK_S = 1.0
 # A frame that took this much longer than the fastest one is late, s.
 MAX_LATENESS_S = 0.2
-# The fastest transfer is assumed to slow down by this, s/s, because clocks drift by up to 100 ppm each.
-_DRIFT = 2e-4
+# A sender's clock that runs slow by more than this is reported, s/s.
+NOTABLE_DRIFT = 0.005
 HANDSHAKE_FRAMES = 5
 _CHECKS = (
     anatomy.check_order,
@@ -37,10 +38,10 @@ _CHECKS = (
 # most mirrored hands' are.
 _BEHIND_M = 0.005
 
-# Indices in the state. OFFSET is arrival minus stamp of the fastest frame; ARRIVED is the newest arrival.
+# Indices in the state.
 _KEYPOINTS, _POSE = slice(0, 63), slice(63, 70)
-_VALID, _STAMP, _SENT, _LATENESS, _OFFSET, _ARRIVED = range(70, 76)
-_AT_START = (*np.zeros(63), 1.0, *np.zeros(6), 0.0, 0.0, math.nan, 0.0, math.inf, math.nan)
+_VALID, _STAMP, _SENT, _LATENESS = range(70, 74)
+_AT_START = (*np.zeros(63), 1.0, *np.zeros(6), 0.0, 0.0, math.nan, 0.0)
 
 
 class GloveStream(PythonSystem):
@@ -58,10 +59,10 @@ class GloveStream(PythonSystem):
             when it arrived, on this machine's clock.
         sent (1): when the keypoints were measured, s, on this machine's clock: the stamp if the clocks agree,
             otherwise the arrival. NaN before the first frame.
-        lateness (1): how much longer the newest frame took than the fastest one, s. A delay common to all
-            frames cannot be told from a difference between the clocks.
+        lateness (1): how much longer the newest frame took than the fastest one, s; see `SenderClock`. A
+            delay common to all frames cannot be told from a difference between the clocks.
 
-    State: the values of the ports, the clocks' offset and the last arrival.
+    State: the values of the ports.
 
     Attributes:
         received: number of frames used.
@@ -69,8 +70,8 @@ class GloveStream(PythonSystem):
         repaired: number of those whose wrist quaternion was scaled to norm 1.
         refused: number of messages that could not be used.
         last_refusal: why the last of them could not be used.
-        clock_offset: arrival of the fastest frame on this machine's clock minus its stamp, s; NaN before the
-            first frame.
+        sender_clock: estimate of the sender's clock.
+        largest_drift: by how much the sender's clock ran slow at most, s/s.
 
     Args:
         receiver: source of the messages.
@@ -87,10 +88,10 @@ class GloveStream(PythonSystem):
         clock: Callable[[], float] = time.monotonic,
     ):
         super().__init__()
-        self._receiver, self._side, self._glove_id, self._clock = receiver, side, glove_id, clock
-        self.received = self.refused = self.late = self.repaired = 0
-        self.clock_offset = math.nan
-        self.last_refusal = ""
+        self._receiver, self._side, self._glove_id, self._now = receiver, side, glove_id, clock
+        self.received = self.refused = self.late = self.repaired = self._arrivals = 0
+        self.sender_clock, self.largest_drift = SenderClock(), 0.0
+        self.last_refusal = self._refusing = ""
         self._state = self.DeclareDiscreteState(np.array(_AT_START))
         ticket = {self.discrete_state_ticket(self._state)}
         for name, place in (
@@ -113,6 +114,19 @@ class GloveStream(PythonSystem):
             ticket,
         )
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, POLL_PERIOD - _AHEAD, self._update)
+
+    @property
+    def refusing(self) -> str:
+        """Why the newest message was refused, or "" if it was used."""
+        return self._refusing or self._receiver.refusing
+
+    @property
+    def notice(self) -> str:
+        """What the person should know of the sender's clock, or ""."""
+        drift = self.sender_clock.drift
+        if drift < NOTABLE_DRIFT:
+            return ""
+        return f"the glove's clock runs {100 * drift:.0f} % slow; its time stamps are corrected"
 
     def handshake(self, timeout_s: float) -> None:
         """Waits for the first frames and checks that they show a hand of the robot's side.
@@ -139,17 +153,20 @@ class GloveStream(PythonSystem):
 
     def _newest(self, at_handshake: bool = False) -> GloveFrame | None:
         """Returns the newest usable frame that has arrived; skips older ones."""
-        for message in reversed(self._receiver.drain()):
+        messages = self._receiver.drain()
+        self._arrivals += len(messages)
+        for message in reversed(messages):
             try:
                 frame = decode(message, self._side, self._glove_id)
             except LiveError as error:
                 if at_handshake and isinstance(error, MismatchError):
                     raise
                 self.refused += 1
-                self.last_refusal = str(error)
+                self.last_refusal = self._refusing = str(error)
                 continue
             if frame is not None:
                 self.received += 1
+                self._refusing = ""
                 self.repaired += frame.repaired
                 return frame
         return None
@@ -161,24 +178,20 @@ class GloveStream(PythonSystem):
         frame = self._newest()
         if frame is None:
             return EventStatus.DidNothing()
-        arrived = self._clock()
+        arrived = self._now()
         stamp = arrived if frame.time is None else frame.time
         value = self._value(context).copy()
         sent = stamp if abs(arrived - stamp) < _SAME_CLOCK_S else arrived
-        offset, arrived_before = value[_OFFSET], value[_ARRIVED]
-        if stamp < value[_STAMP]:  # the sender's clock was set back, or there is another sender
-            offset = math.inf
-        if not math.isnan(arrived_before):
-            offset += _DRIFT * (arrived - arrived_before)
-        offset = self.clock_offset = float(min(offset, arrived - stamp))
-        lateness = arrived - stamp - offset
+        lateness = self.sender_clock.lateness(arrived, stamp, self._arrivals)
+        self._arrivals = 0
+        self.largest_drift = max(self.largest_drift, self.sender_clock.drift)
         self.late += lateness > MAX_LATENESS_S
         if frame.p_HK is not None:
             value[_KEYPOINTS] = frame.p_HK.ravel()
         if frame.X_WH is not None:
             value[_POSE] = frame.X_WH
         tracked = frame.p_HK is not None and lateness <= MAX_LATENESS_S
-        value[_VALID:] = tracked, stamp, sent, lateness, offset, arrived
+        value[_VALID:] = tracked, stamp, sent, lateness
         discrete_state.get_mutable_vector(self._state).SetFromVector(value)
         return EventStatus.Succeeded()
 

@@ -103,15 +103,18 @@ class RobotLink(PythonSystem):
             if silent > silence_s:
                 raise LiveError(
                     f"{device.name}: no {device.status_channel} for {silent:.1f} s; commands have stopped, "
-                    "because the robot may be elsewhere when it comes back"
+                    f"because the robot may be elsewhere when it comes back{self._refusals()}"
                 )
 
     def _silence(self, timeout_s: float) -> str:
         channels = (part.device.status_channel for part in self._parts)
         missing = " and ".join(channel for channel in channels if channel not in self.inbox.newest)
-        refused = f"; {self.inbox.refused} messages were refused, the last: {self.inbox.last_refusal}"
-        text = f"no robot: {missing} did not come within {timeout_s:g} s"
-        return text + (refused if self.inbox.refused else "")
+        return f"no robot: {missing} did not come within {timeout_s:g} s{self._refusals()}"
+
+    def _refusals(self) -> str:
+        if not self.inbox.refused:
+            return ""
+        return f"; {self.inbox.refused} messages were refused, the last: {self.inbox.last_refusal}"
 
     def _declare_part(self, device: Device, group: JointGroup) -> "_Part":
         n, to_model = len(group.joints), device.model_order(group)

@@ -1,6 +1,7 @@
 """Runs diagrams and recordings in real time: teleoperation with its engage key, and playback."""
 
 import dataclasses as dc
+import math
 import os
 import select
 import signal
@@ -21,6 +22,8 @@ from geort_drake.systems.retargeting_status import LIMITED, TRACKING
 
 # At the end the robot is commanded to brake and hold for this long, s.
 HOLD_S = 0.5
+# A state is shown once it has lasted this long, s.
+STEADY_S = 0.3
 # How often keys, robot and state are checked, s.
 _STEP_S = 0.02
 # A diagram that lags more than this, s, continues at the present time instead of catching up.
@@ -40,6 +43,24 @@ class SessionReport:
     duration: float
     states: dict[str, float]
     late: int
+
+
+class SteadyState:
+    """Passes on a state once it has lasted `STEADY_S`, so that people can read it."""
+
+    def __init__(self) -> None:
+        self._shown = self._candidate = ""
+        self._since = -math.inf
+
+    def step(self, time: float, state: str) -> str:
+        """Returns the state to show at `time`, s; the first one at once."""
+        # A fast hand reaches its limits many times a second, and still follows.
+        state = TRACKING if state == LIMITED else state
+        if state != self._candidate:
+            self._candidate, self._since = state, time
+        if not self._shown or time - self._since >= STEADY_S:
+            self._shown = state
+        return self._shown
 
 
 class Control(Protocol):
@@ -94,7 +115,7 @@ def run_session(
         duration: longest duration, s.
         stop: returns whether to end the session.
         require_robot: called after every step; raises if the robot is lost.
-        on_state: called with the time (s) and the state when the state changes, except to `LIMITED`.
+        on_state: called with the time (s) and the state when it changes, see `SteadyState`, and with notices.
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
@@ -103,11 +124,11 @@ def run_session(
     loop.engage(root, engaged)
     simulator.Initialize()
     states: dict[str, float] = {}
-    last = ""
+    steady, last, notice = SteadyState(), "", ""
     ended: float | None = None
 
     def go_on() -> bool:
-        nonlocal engaged, last, ended
+        nonlocal engaged, last, notice, ended
         time = root.get_time()
         if time > 0.0:
             require_robot()
@@ -115,12 +136,14 @@ def run_session(
             engaged = wanted
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
-        states[state] = states.get(state, 0.0) + _STEP_S
-        # A fast hand reaches its limits many times a second; showing that would flood the user.
-        shown = TRACKING if state == LIMITED else state
-        if shown != last:
+        kind = state.partition(";")[0]  # without the reason of a refusal
+        states[kind] = states.get(kind, 0.0) + _STEP_S
+        if (shown := steady.step(time, state)) != last:
             on_state(time, shown)
             last = shown
+        if loop.notice != notice:
+            notice = loop.notice
+            on_state(time, notice or "the glove's clock runs right again")
         if ended is None and (stop() or time >= duration):
             ended = time
             loop.engage(root, False)

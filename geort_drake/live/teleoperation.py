@@ -9,7 +9,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.delay import DelayMeter
-from geort_drake.live.glove_stream import MAX_LATENESS_S
+from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.retargeting.method import Retarget
@@ -49,6 +49,11 @@ class Teleoperation:
         """Returns whether the fingers follow the person."""
         return bool(_eval(self.watchdog, "following", root)[0] >= 0.5)
 
+    @property
+    def notice(self) -> str:
+        """What the person should know of the glove's clock, or ""."""
+        return self.glove.notice if isinstance(self.glove, GloveStream) else ""
+
     def outcome(self, root: Context) -> Outcome | None:
         """Returns the task's outcome so far; None without a simulation."""
         if self.simulation is None:
@@ -69,11 +74,17 @@ class Teleoperation:
         return names[int(port.Eval(port.get_system().GetMyContextFromRoot(root))[0])]
 
     def state(self, root: Context) -> str:
-        """Returns the state of the fingers; if they follow, that of a failed policy or held arm, if any."""
+        """Returns the state of the fingers and why they are held.
+
+        If they follow, it returns that of a failed policy or held arm, if any.
+        """
         state = _eval(self.watchdog, "state", root)
-        if state == HELD_LOST and self.glove.HasOutputPort("lateness"):
-            return HELD_LATE if _eval(self.glove, "lateness", root)[0] > MAX_LATENESS_S else state
         if not self.following(root):
+            if isinstance(self.glove, GloveStream):
+                if self.glove.refusing:
+                    return f"{state}; messages arrive but are refused: {self.glove.refusing}"
+                if state == HELD_LOST and _eval(self.glove, "lateness", root)[0] > MAX_LATENESS_S:
+                    return HELD_LATE
             return state
         if self.correction.HasOutputPort("status") and (status := _eval(self.correction, "status", root)):
             return status

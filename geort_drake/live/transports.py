@@ -34,7 +34,13 @@ _MAX_AT_ONCE = 100  # most messages read in one call, so that a flood cannot blo
 
 
 class Receiver(Protocol):
-    """Receives messages."""
+    """Receives messages.
+
+    Attributes:
+        refusing: why the receiver itself refused the newest message, or "".
+    """
+
+    refusing: str
 
     def drain(self) -> list[bytes]:
         """Returns the messages since the last call, oldest first; does not wait."""
@@ -164,6 +170,8 @@ class _ZmqSocket:
 
 class ZmqReceiver(_ZmqSocket):
     """A SUB or PULL socket that connects to a sender, at once or when the sender starts."""
+
+    refusing = ""  # it refuses nothing
 
     def __init__(self, pattern: str, endpoint: str):
         super().__init__(pattern)

@@ -38,8 +38,8 @@ export class Connection {
     };
     let opened = false;
     socket.onopen = () => (opened = true);
-    socket.onclose = async () => {
-      this.listeners.onClose(opened ? "" : await whyRefused(url));
+    socket.onclose = async ({ reason }) => {
+      this.listeners.onClose(opened ? reason : await whyRefused(url));
       setTimeout(() => this.#connect(), RETRY_MS);
     };
   }

@@ -12,6 +12,7 @@ from pydrake.systems.framework import Context
 
 from geort_drake.console import warn
 from geort_drake.errors import GeortError
+from geort_drake.live.session import SteadyState
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation
@@ -55,7 +56,7 @@ class PageControl:
         self.note = ""
         self.again = False
         self.recordings: list[Path] = []
-        self._scene = 0
+        self._scene, self._steady = 0, SteadyState()
         self._facts: dict[str, Any] = {}
         self._root: Context
         self._published = -math.inf
@@ -68,7 +69,7 @@ class PageControl:
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
         self.task, self.object = facts.get("task"), facts.get("object")
         self._started = math.nan
-        self.again = False
+        self.again, self._steady = False, SteadyState()
         recorder.switch(None)
 
     def end(self) -> None:
@@ -169,7 +170,7 @@ class PageControl:
             "time": self._clock(root),
             "engaged": engaged,
             "following": self.loop.following(root),
-            "status": self.note or self.loop.state(root),
+            "status": self.note or self._steady.step(root.get_time(), self.loop.state(root)),
             "fist": station.fist if self._fist_counts(engaged) else 0.0,
             "outcome": self._outcome(root),
             "delay": self._delay(),

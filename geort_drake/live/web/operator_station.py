@@ -86,6 +86,8 @@ class OperatorStation:
         commands: the operator's commands, oldest first.
         operator: the page that operates the robot; None if there is none.
         received, refused: number of hands passed on, and of messages that could not be used.
+        last_refusal: why the last of them could not be used.
+        refusing: why the operator's newest hand was refused, or "".
         fist: fraction of `FIST_S` for which a fist has been held.
         p_HK: the operator's last hand (21, 3), m; None while it is lost.
 
@@ -99,6 +101,7 @@ class OperatorStation:
         self.commands: deque[Command] = deque(maxlen=_MAX_HANDS)
         self.operator: Operator | None = None
         self.received = self.refused = 0
+        self.last_refusal = self.refusing = ""
         self.fist = 0.0
         self.p_HK: np.ndarray | None = None
         self._hands: deque[bytes] = deque(maxlen=_MAX_HANDS)
@@ -142,6 +145,7 @@ class OperatorStation:
         Raises:
             GeortError: the message cannot be used; it is counted and otherwise ignored.
         """
+        message = None
         try:
             message = decode(text)
             if isinstance(message, Hello):
@@ -152,8 +156,11 @@ class OperatorStation:
                 self._pass_on(self.operator, message)
             else:
                 self._ask(self.operator, message)
-        except GeortError:
+        except GeortError as error:
             self.refused += 1
+            self.last_refusal = str(error)
+            if self._is_operator(person) and isinstance(message, Hand | None):
+                self.refusing = str(error)
             raise
         return None
 
@@ -180,7 +187,7 @@ class OperatorStation:
         assert self.operator is not None
         self._pass_on(self.operator, Lost(self.operator.time))
         self.commands.append(Disengage())
-        self.operator = None
+        self.operator, self.refusing = None, ""
 
     def _pass_on(self, operator: Operator, message: Hand) -> None:
         operator.time = message.t
@@ -191,7 +198,7 @@ class OperatorStation:
             if not operator.known:
                 self._get_to_know(operator, frame.p_HK)
                 return
-        self.p_HK = frame.p_HK
+        self.p_HK, self.refusing = frame.p_HK, ""
         self._watch_fist(operator)
         self._hands.append(encode_frame(frame))
         self.received += 1

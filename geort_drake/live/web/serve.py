@@ -22,14 +22,18 @@ if TYPE_CHECKING:
     from geort_drake.live.web.server import WebServer
 
 _LIFETIME = dt.timedelta(days=2)  # of the certificate
+_PAGE = Path(__file__).parent / "static"
 
 
 @contextmanager
-def open_server(station: OperatorStation, host: str, port: int, browser: bool) -> "Iterator[WebServer]":
+def open_server(
+    station: OperatorStation, page: Path, host: str, port: int, browser: bool
+) -> "Iterator[WebServer]":
     """Yields a server and prints its address, which contains its key; closes it at the end.
 
     Args:
         station: handles the page's messages.
+        page: folder of the built page.
         host, port: address to listen on. TLS is used unless it is a loopback address.
         browser: whether to open the browser, if there is a display.
 
@@ -37,18 +41,16 @@ def open_server(station: OperatorStation, host: str, port: int, browser: bool) -
         LiveError: the server cannot listen there, or aiohttp or cryptography is not installed.
     """
     try:
-        from geort_drake.live.web.server import PAGES, WebServer
+        from geort_drake.live.web.server import WebServer
     except ImportError:
         raise LiveError("the page needs aiohttp: pip install 'geort-drake[live]'") from None
     hosts = own_addresses(host)
     tls = None if is_loopback(host) else self_signed_context(hosts)
     key = secrets.token_urlsafe(16)
-    server = WebServer(station, host, port, key, tls)
+    server = WebServer(station, host, port, key, page, tls)
     try:
         shown = f"[{hosts[0]}]" if ":" in hosts[0] else hosts[0]
         address = f"{'https' if tls else 'http'}://{shown}:{server.port}/#{key}"
-        if not PAGES.is_dir():
-            warn("the page has not been built; in a clone: make live")
         if tls:
             warn(
                 "the page is open to the network: whoever has this address moves the robot. The browser will "
@@ -60,6 +62,31 @@ def open_server(station: OperatorStation, host: str, port: int, browser: bool) -
         yield server
     finally:
         server.close()
+
+
+def find_page(installed: Path = _PAGE, folder: Path | None = None) -> Path:
+    """Returns the folder of the built page.
+
+    It is part of the package where it was built with Node.js; `make live` in a clone builds it, too, which
+    also serves a package installed elsewhere if the command runs in the clone.
+
+    Args:
+        installed: folder in the package.
+        folder: folder in which the command runs; None for the present one.
+
+    Raises:
+        LiveError: there is no built page; the message says how to build it.
+    """
+    folder = Path.cwd() if folder is None else folder
+    clones = (parent / "geort_drake/live/web/static" for parent in (folder, *folder.parents))
+    for page in (installed, *clones):
+        if (page / "index.html").is_file():
+            return page
+    raise LiveError(
+        "the page is not installed, because Node.js was not at hand when geort-drake was. Install Node.js 20 "
+        "or newer (https://nodejs.org). Then run `make live` in a clone and start the command there, or "
+        "install again: pip install --force-reinstall --no-deps '.[live]'. Gloves need no page: see --glove"
+    )
 
 
 def is_loopback(host: str) -> bool:

@@ -17,16 +17,11 @@ from geort_drake.errors import GeortError, LiveError
 from geort_drake.live.web.messages import MAX_BYTES
 from geort_drake.live.web.operator_station import OperatorStation
 
-PAGES = Path(__file__).parent / "static"
 _MAX_CONNECTIONS = 8
 _RATE_HZ = 200.0  # most messages a second of one connection, with bursts of a second
 _MAX_EXCESS = 1000  # messages beyond that rate, after which the connection is closed
 _REFUSAL_S = 1.0  # least time between two `refused` messages
 _HEARTBEAT_S = 2.0
-_NO_PAGE = (
-    "<!doctype html><title>geort-drake live</title><p>The page has not been built. "
-    "In a clone of the repository: <code>make live</code>, which needs Node."
-)
 # The page loads nothing from other servers. Hand tracking needs WebAssembly and workers.
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self' blob: data:; script-src 'self' blob: 'wasm-unsafe-eval'; "
@@ -107,8 +102,8 @@ class WebServer:
         station: handles the messages.
         host, port: address to listen on; for port 0 the system chooses a port.
         key: secret that a WebSocket must present.
+        page: folder of the built page.
         tls: settings with a certificate; None for plain HTTP.
-        pages: folder of the built page.
 
     Raises:
         LiveError: the server cannot listen there.
@@ -120,10 +115,10 @@ class WebServer:
         host: str,
         port: int,
         key: str,
+        page: Path,
         tls: ssl.SSLContext | None = None,
-        pages: Path = PAGES,
     ):
-        self._station, self._key, self._tls, self._pages = station, key, tls, pages
+        self._station, self._key, self._tls, self._page = station, key, tls, page
         self.dropped = 0
         self._scene, self._meshes = b"{}", list[bytes]()
         self._connections: dict[int, _Connection] = {}
@@ -161,8 +156,7 @@ class WebServer:
         app.router.add_get("/scene", self._send_scene)
         app.router.add_get(r"/mesh/{number:\d{1,6}}", self._send_mesh)
         app.router.add_get("/ws", self._talk)
-        if self._pages.is_dir():
-            app.router.add_static("/", self._pages)
+        app.router.add_static("/", self._page)
         runner = web.AppRunner(app, access_log=None, handle_signals=False, shutdown_timeout=0.5)
         await runner.setup()
         try:
@@ -178,10 +172,7 @@ class WebServer:
         await runner.cleanup()
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
-        index = self._pages / "index.html"
-        if index.is_file():
-            return web.FileResponse(index)
-        return web.Response(text=_NO_PAGE, content_type="text/html")
+        return web.FileResponse(self._page / "index.html")
 
     async def _send_scene(self, request: web.Request) -> web.Response:
         return web.Response(body=self._scene, content_type="application/json")
