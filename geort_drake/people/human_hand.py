@@ -24,6 +24,10 @@ _JOINT_SUFFIXES = {
 }
 JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
 
+# Bend of the outermost joint relative to that of the joint before it: two thirds in fingers (textbook; 0.4 to
+# 0.85 in recorded play), one in the thumb (recorded play).
+BEND_RATIO = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
+
 _MAX_STEP = 0.4  # rad per iteration of the inverse kinematics
 _DAMPING_M = 2e-3  # steps are damped where a radian moves the tip by less than this
 
@@ -94,7 +98,7 @@ class HumanHand:
     def keypoints(self, theta: np.ndarray) -> np.ndarray:
         """Computes keypoints p_HK (..., 21, 3), m, at joint angles theta (..., 20), rad."""
         theta = np.asarray(theta, dtype=float)
-        z, x, _, _, bend = self._first_bone(theta)
+        z, x, _, _, bend = self.first_bone(theta)
         L = self.lengths
         c, s = np.cos(bend), np.sin(bend)
         p = np.zeros((*theta.shape[:-1], KEYPOINT_COUNT, 3))
@@ -109,7 +113,7 @@ class HumanHand:
 
     def fingertips(self, theta: np.ndarray) -> np.ndarray:
         """Computes fingertips p_HF (..., 5, 3), m, thumb to little, at joint angles theta (..., 20), rad."""
-        z, x, _, _, bend = self._first_bone(np.asarray(theta, dtype=float))
+        z, x, _, _, bend = self.first_bone(np.asarray(theta, dtype=float))
         along, across = self._in_plane(bend)
         p_BF = along[..., None] * z + across[..., None] * x
         return (self.R_HB @ p_BF[..., None])[..., 0] + self.p_HB
@@ -117,7 +121,7 @@ class HumanHand:
     def fingertip_jacobians(self, theta: np.ndarray) -> np.ndarray:
         """Computes ∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip's by the four joints of its finger."""
         theta = np.asarray(theta, dtype=float)
-        z, x, y, sin_twist, bend = self._first_bone(theta)
+        z, x, y, sin_twist, bend = self.first_bone(theta)
         along, across = self._in_plane(bend)
         tip = along[..., None] * z + across[..., None] * x
         last = self.lengths[:, 2] * np.array([np.cos(bend[..., 1]), np.sin(bend[..., 1])])
@@ -200,11 +204,11 @@ class HumanHand:
         p_HK = recording.p_HK[recording.valid].astype(float)
         if len(p_HK) < 10:
             raise RecordingError(f"fitting a hand needs at least 10 valid frames, {len(p_HK)} given")
-        directions = _bone_directions(p_HK)
+        directions = bone_directions(p_HK)
         sample = directions[np.linspace(0, len(p_HK) - 1, min(len(p_HK), 400)).astype(int)]
         frames = [_fit_base_frame(sample[:, i], R) for i, R in enumerate(_nominal_base_frames())]
         R_HB, twist = np.stack([R for R, _ in frames]), np.array([angle for _, angle in frames])
-        theta = _angles(directions, R_HB, twist)
+        theta = joint_angles(directions, R_HB, twist)
         margin = np.deg2rad(2.0)
         return cls(
             p_HB=np.median(p_HK[:, list(BASE_KEYPOINT.values())], axis=0),
@@ -215,12 +219,12 @@ class HumanHand:
             upper=np.percentile(theta, 99.5, axis=0) + margin,
         )
 
-    def _first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    def first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Returns z, x, y, sin(twist) (5,), bend: unit vectors (..., 5, 3) in B of first bone, bending and
         abduction; angles (..., 5, 2), rad, of the second and third bone to the first.
         """
         angles = theta.reshape(*theta.shape[:-1], 5, 4)
-        x, y, z = _bone_axes(angles[..., 0], angles[..., 1], self.twist)
+        x, y, z = bone_axes(angles[..., 0], angles[..., 1], self.twist)
         bend = angles[..., 2:].copy()
         bend[..., 1] += bend[..., 0]
         return z, x, y, np.sin(self.twist), bend
@@ -239,19 +243,19 @@ def _nominal_base_frames() -> np.ndarray:
     return np.stack([thumb, *[np.eye(3)] * 4])
 
 
-def _bone_directions(p_HK: np.ndarray) -> np.ndarray:
+def bone_directions(p_HK: np.ndarray) -> np.ndarray:
     """Returns unit vectors (..., 5, 3, 3) along the three bones of each finger."""
     chain = p_HK[..., 1:, :].reshape(*p_HK.shape[:-2], 5, 4, 3)
     bones = np.diff(chain, axis=-2)
     return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
 
 
-def _angles(directions: np.ndarray, R_HB: np.ndarray, twist: np.ndarray) -> np.ndarray:
+def joint_angles(directions: np.ndarray, R_HB: np.ndarray, twist: np.ndarray) -> np.ndarray:
     """Computes joint angles (..., 20), rad, from bone directions (..., 5, 3, 3), projected to the plane."""
     first, middle, last = np.moveaxis(directions @ R_HB, -2, 0)
     abduction = np.arcsin(np.clip(first[..., 1], -1.0, 1.0))
     flexion = np.arctan2(first[..., 0], first[..., 2])
-    x, _, _ = _bone_axes(abduction, flexion, twist)
+    x, _, _ = bone_axes(abduction, flexion, twist)
     bends = [np.arctan2(np.sum(bone * x, -1), np.sum(bone * first, -1)) for bone in (middle, last)]
     # The last hinge is measured from the middle bone, and wrapped because a fist may pass 180°.
     last_bend = (bends[1] - bends[0] + np.pi) % (2 * np.pi) - np.pi
@@ -259,7 +263,7 @@ def _angles(directions: np.ndarray, R_HB: np.ndarray, twist: np.ndarray) -> np.n
     return theta.reshape(*theta.shape[:-2], 20)
 
 
-def _bone_axes(abduction: np.ndarray, flexion: np.ndarray, twist: np.ndarray) -> tuple[np.ndarray, ...]:
+def bone_axes(abduction: np.ndarray, flexion: np.ndarray, twist: np.ndarray) -> tuple[np.ndarray, ...]:
     """Returns unit vectors (..., 3) in B: direction x of bending, y of abduction, and the first bone z."""
     ca, sa, cf, sf = np.cos(abduction), np.sin(abduction), np.cos(flexion), np.sin(flexion)
     x, y, z = np.empty((3, *ca.shape, 3))
@@ -279,7 +283,7 @@ def _fit_base_frame(directions: np.ndarray, R_nominal: np.ndarray) -> tuple[np.n
 
     def out_of_plane(parameters: np.ndarray) -> np.ndarray:
         first, middle, last = np.moveaxis(directions @ frame(parameters), -2, 0)
-        x, _, _ = _bone_axes(
+        x, _, _ = bone_axes(
             np.arcsin(np.clip(first[:, 1], -1, 1)), np.arctan2(first[:, 0], first[:, 2]), parameters[2]
         )
         normal = np.cross(first, x)

@@ -1,9 +1,9 @@
 """Synthesizes play from a seed: five minutes of the hand motion that training needs.
 
 The hand sweeps each finger through its range, waves, makes fists, spreads, and pinches the thumb to each
-finger in varied places. Movements have minimum jerk (Flash & Hogan 1985, J. Neurosci. 5:1688), with a glove's
-jitter and slow drift. Workspace, speed and pinches of the fingertips lie between those of two recordings of
-real gloves; `tests/test_people_play.py` has the figures.
+finger in varied places; digits that meet stop or slide along each other. Movements have minimum jerk (Flash &
+Hogan 1985, J. Neurosci. 5:1688), with a glove's jitter and slow drift. Workspace, speed and pinches of the
+fingertips lie between those of two recordings of real gloves; `tests/test_people_play.py` has the figures.
 """
 
 from collections.abc import Callable, Iterable
@@ -14,6 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from geort_drake.errors import UnknownNameError
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import SIDES, Recording
+from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 
 # Angles below are in degrees; each finger has abduction and three flexions, as in HumanHand.
 _FIST = np.array(
@@ -33,6 +34,7 @@ _JITTER_DEG = 0.03  # per frame: about 0.05 mm at a fingertip
 _TREMOR_DEG = 0.05  # 8–12 Hz, about 0.1 mm at a fingertip (Riviere 1997: 0.05–0.13 mm)
 _DRIFT_DEG = 0.7
 _DRIFT_TIME_S = 8.0
+_MAX_NOISE = 0.02  # rad per frame
 
 
 def synthesize_play(
@@ -82,8 +84,7 @@ def record(
         raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
     hand = timeline.hand
     t = np.arange(frame_count(duration_s, rate_hz)) / rate_hz
-    theta = _minimum_jerk(t, np.array(timeline.times), np.stack(timeline.postures))
-    theta = np.clip(theta + jitter * _glove_noise(len(t), rate_hz, rng), hand.lower, hand.upper)
+    theta = timeline.motion(t, jitter * _glove_noise(len(t), rate_hz, rng))
     common = {"side": "right", "rate_known": True, "warnings": []}
     seed = metadata["seed"] if isinstance(metadata["seed"], int) else None
     metadata = {**common, **metadata, "seed": seed}
@@ -100,17 +101,19 @@ class Timeline:
 
     Attributes:
         hand: the moving hand.
+        solid: its digits, which do not pass through one another.
         times: time of each posture, s.
         postures: joint angles (20,) of each, rad, within the hand's limits.
     """
 
     def __init__(self, hand: HumanHand, start: np.ndarray):
         self.hand = hand
+        self.solid = SolidHand(hand)
         self.times = [0.0]
         self.postures = [self._within(start)]
 
     def move(self, theta: np.ndarray, duration_s: float) -> None:
-        """Appends a movement of `duration_s` to theta, (20,) or (5, 4), rad."""
+        """Appends a movement of `duration_s` to theta, (20,) or (5, 4), rad, or beside it if digits meet."""
         self.times.append(self.times[-1] + duration_s)
         self.postures.append(self._within(theta))
 
@@ -119,8 +122,44 @@ class Timeline:
         self.times.append(self.times[-1] + duration_s)
         self.postures.append(self.postures[-1])
 
+    def motion(self, t: np.ndarray, noise: np.ndarray) -> np.ndarray:
+        """Returns joint angles (T, 20), rad, at times t (T,), s; noise (T, 20), rad, is added to them.
+
+        Movements have minimum jerk. Digits that meet stop, or slide along each other, and the hand's next
+        movement starts from there.
+        """
+        times, postures = np.array(self.times), np.stack(self.postures)
+        movement = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+        duration = (times[movement + 1] - times[movement]).clip(1e-9)
+        s = ((t - times[movement]) / duration).clip(0.0, 1.0)
+        share = (s**3 * (10 - 15 * s + 6 * s**2))[:, None]
+        lower, upper, solid = self.hand.lower, self.hand.upper, self.solid
+        theta = postures[movement] + share * (postures[movement + 1] - postures[movement])
+        theta = np.clip(theta + noise, lower, upper)
+        theta[0] = solid.separate(theta[0])
+        chunks = np.array_split(theta, max(1, len(theta) // 1000))
+        meets = np.concatenate([solid.depths(chunk).max(axis=1) for chunk in chunks]) > MAX_INTERPENETRATION
+        # The hand leaves its planned path where digits meet, until it is back there as a movement starts.
+        start, on_path, stopped = postures[movement[0]], True, False
+        for i in range(1, len(t)):
+            if movement[i] != movement[i - 1]:
+                on_path = not stopped
+                start = postures[movement[i]] if on_path else theta[i - 1] - noise[i - 1]
+            if on_path and not stopped and not meets[i]:
+                continue
+            whole = postures[movement[i] + 1] - start
+            wanted = np.clip(start + share[i] * whole + noise[i], lower, upper)
+            change = wanted - theta[i - 1]
+            # Once the way is free again, the hand is at most as fast as the whole movement.
+            fastest = 1.875 * np.abs(whole).max() / duration[i] * (t[i] - t[i - 1]) + _MAX_NOISE
+            aim = theta[i - 1] + change / max(1.0, np.abs(change).max() / fastest)
+            theta[i], _ = solid.move(theta[i - 1], aim)
+            stopped = not np.allclose(theta[i], wanted, rtol=0.0, atol=1e-12)
+        return theta
+
     def _within(self, theta: np.ndarray) -> np.ndarray:
-        return np.clip(np.reshape(theta, 20), self.hand.lower, self.hand.upper)
+        theta = np.clip(np.reshape(theta, 20), self.hand.lower, self.hand.upper)
+        return self.solid.separate(theta)
 
 
 def _play(hand: HumanHand, duration_s: float, rng: np.random.Generator) -> Timeline:
@@ -263,14 +302,6 @@ def _close_pinch(
         middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger])
     reached = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001
     return theta, reached
-
-
-def _minimum_jerk(t: np.ndarray, times: np.ndarray, postures: np.ndarray) -> np.ndarray:
-    """Interpolates postures (T, 20) at times t by minimum-jerk movements."""
-    i = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
-    s = ((t - times[i]) / (times[i + 1] - times[i]).clip(1e-9)).clip(0.0, 1.0)
-    share = s**3 * (10 - 15 * s + 6 * s**2)
-    return postures[i] + share[:, None] * (postures[i + 1] - postures[i])
 
 
 def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:

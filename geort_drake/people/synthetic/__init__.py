@@ -1,0 +1,1 @@
+"""Synthetic people: hands, how they move, and what a device sees of them."""

@@ -1,0 +1,275 @@
+"""Keeps the digits of a human hand from passing through one another.
+
+Thumb and fingers are capsules about their bones. A radius is half the thickness of the digit, less 0.8 mm
+by which skin yields before one feels a force. Pheasant & Haslegrave (Bodyspace, 2006) list a thickness of
+17.5 mm for the index finger at the PIP and of 20 mm for the thumb at the IP joint (means of men and women);
+thickness scales with hand breadth and decreases towards the tip (Buchholz & Armstrong 1991, Hum. Factors
+33:429). Two digits may interpenetrate by 2 mm, a millimetre of flesh each, as pulps do at a force of about
+1 N (Serina et al. 1997, J. Biomech. 30:1035).
+
+The fingertip keypoint of gloves and cameras is a point of the skin between the very tip and the middle of the
+pad, where two digits meet in a pinch: the outward normal there is 30° from the bone (assumption). All other
+keypoints are joints, on the axes of the capsules. Neighbouring fingers share a web, so the capsule of the
+first bone begins at its middle. The thumb's metacarpal has no capsule, for it lies in the palm.
+
+Gloves misplace the base of the thumb by several millimetres (see `device`). After a shift of the thumb by
+(2.7, 5.0, −4.5) mm in GeoRT's recording and (−3.4, 7.0, −1.1) mm in that of MANUS subject 000, fitted to this
+model, digits interpenetrate by at most 2 mm in 99 % of the frames of both (`tests/test_people_solid.py`).
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations, pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from geort_drake.people.human_hand import BEND_RATIO, HumanHand, bone_directions, joint_angles
+
+MAX_INTERPENETRATION = 2e-3  # m
+# Pairs of digits, thumb 0 to little finger 4; those with the thumb come first.
+DIGIT_PAIRS = tuple(combinations(range(5), 2))
+
+# Radii, m, about the first, middle and last bone of a hand of average breadth, a row per digit.
+_RADII = 1e-3 * np.array(
+    [[0.0, 8.6, 6.6], [7.9, 6.9, 5.7], [7.9, 6.9, 5.7], [7.6, 6.7, 5.4], [6.9, 6.0, 5.0]]
+)
+_TIP_ANGLE = np.deg2rad(30.0)  # between the last bone and the outward normal at the tip's keypoint
+_FIT = 0.43  # largest ratio of a finger's radius to the distance of its knuckle from the next one
+_WEB = 0.5  # part of a finger's first bone that lies in the web
+
+_STEP_M = 4e-3  # points at which a path is checked are at most this far apart, less than a digit's thickness
+_AIM_M = 1.5e-3  # depth to which a posture that interpenetrates is corrected
+_DAMPING = (1e-3) ** 2  # corrections are damped where a radian moves less than 1 mm
+_CORRECTIONS, _SEPARATIONS = 4, 20  # iterations
+
+# Capsules are numbered 3 · digit + bone. All pairs of capsules of two digits, in the order of `DIGIT_PAIRS`;
+# the thumb's metacarpal has no capsule.
+_FIRST, _SECOND = np.array(
+    [(3 * i + a, 3 * j + b) for i, j in DIGIT_PAIRS for a in range(i == 0, 3) for b in range(3)]
+).T
+_PAIR_BOUNDS = np.append(np.flatnonzero(np.diff(5 * (_FIRST // 3) + _SECOND // 3, prepend=-1)), len(_FIRST))
+
+
+class SolidHand:
+    """A human hand whose digits do not pass through one another.
+
+    Attributes:
+        hand: its joints and bones.
+        radii: (5, 3) radii of the capsules about each digit's bones, m.
+    """
+
+    def __init__(self, hand: HumanHand):
+        self.hand = hand
+        average = HumanHand.anatomical().p_HB
+        breadth = np.linalg.norm(hand.p_HB[1] - hand.p_HB[4]) / np.linalg.norm(average[1] - average[4])
+        # Closed fingers fit between their knuckles, also where a device shows two knuckles too close.
+        gaps = np.linalg.norm(np.diff(hand.p_HB[1:], axis=0), axis=1)
+        gap = np.minimum(np.append(gaps, np.inf), np.append(np.inf, gaps))
+        scale = np.append(breadth, np.minimum(breadth, _FIT * gap / _RADII[1:, 0]))
+        self.radii = scale[:, None] * _RADII
+        self._touching_distance = self.radii.ravel()[_FIRST] + self.radii.ravel()[_SECOND]
+        self._R_BH = hand.R_HB.transpose(0, 2, 1)
+        # End of the last capsule's axis relative to the DIP, along the bone and towards the palm.
+        self._end = (
+            (hand.lengths[:, 2] - np.cos(_TIP_ANGLE) * self.radii[:, 2])[:, None],
+            (-np.sin(_TIP_ANGLE) * self.radii[:, 2])[:, None],
+        )
+        # (5, 20) bounds of each digit's motion, m/rad, by the joints.
+        to_tip = np.cumsum(hand.lengths[:, ::-1], axis=1)[:, ::-1]
+        self._reach = np.kron(np.eye(5), np.ones(4)) * to_tip[:, [0, 0, 1, 2]].ravel()
+
+    def depths(self, theta: np.ndarray) -> np.ndarray:
+        """Computes how deep the digits interpenetrate at joint angles theta (..., 20), rad.
+
+        Returns:
+            Depths (..., 10), m, by `DIGIT_PAIRS`; the negative distance where two digits are apart.
+        """
+        return self._proximity(theta).pair_depths()
+
+    def keypoint_depths(self, p_HK: np.ndarray) -> np.ndarray:
+        """Computes depths (..., 10), m, as `depths` does, from this hand's keypoints p_HK (..., 21, 3), m."""
+        directions = bone_directions(p_HK)
+        z, x, _, _, bend = self.hand.first_bone(joint_angles(directions, self.hand.R_HB, self.hand.twist))
+        palmar = np.cos(bend[..., 1, None]) * x - np.sin(bend[..., 1, None]) * z
+        palmar = (self.hand.R_HB @ palmar[..., None])[..., 0]
+        chain = np.array(p_HK[..., 1:, :], dtype=float).reshape(*p_HK.shape[:-2], 5, 4, 3)
+        outward = np.cos(_TIP_ANGLE) * directions[..., 2, :] + np.sin(_TIP_ANGLE) * palmar
+        chain[..., 3, :] -= self.radii[:, 2:] * outward
+        chain[..., 0, :] += _WEB * (chain[..., 1, :] - chain[..., 0, :])
+        return _Proximity.of(*_ends(chain), self._touching_distance).pair_depths()
+
+    def move(self, theta: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Moves the hand towards a posture until digits touch, and lets them slide along each other.
+
+        Args:
+            theta: (20,) present joint angles, rad, which interpenetrate by at most `MAX_INTERPENETRATION`.
+            wanted: (20,) joint angles to reach, rad.
+
+        Returns:
+            The reached joint angles (20,), rad, and which digits touch another one, (5,) bool. If nothing is
+            in the way, the angles are `wanted` itself. Where digits meet on the way, the hand stops, and the
+            next call continues from there.
+        """
+        change = wanted - theta
+        steps = max(1, math.ceil((self._reach @ np.abs(change)).max() / _STEP_M))
+        path = theta + np.arange(steps)[:, None] / steps * change
+        if steps > 1:
+            blocked = self.depths(path[1:]).max(axis=1) > MAX_INTERPENETRATION
+            if blocked.any():
+                before = int(np.argmax(blocked))
+                return self._stop(path[before], path[before + 1], self._proximity(path[before + 1]))
+        proximity = self._proximity(wanted)
+        if proximity.depth.max() > MAX_INTERPENETRATION:
+            return self._stop(path[-1], wanted, proximity)
+        return wanted, proximity.touching()
+
+    def separate(self, theta: np.ndarray) -> np.ndarray:
+        """Returns the posture (20,), rad, near theta (20,) in which no digits interpenetrate.
+
+        It is theta itself if none do. Digits move apart by the shortest way, which may lead through one
+        another. Where joint limits leave no way, the result interpenetrates by more than
+        `MAX_INTERPENETRATION`, but no more than theta does.
+        """
+        least, best = math.inf, theta
+        for _ in range(_SEPARATIONS):
+            proximity = self._proximity(theta)
+            depth = proximity.depth.max()
+            if depth < least:
+                least, best = depth, theta
+            if depth <= MAX_INTERPENETRATION:
+                break
+            theta = self._corrected(theta, proximity)
+        return best
+
+    def _stop(
+        self, free: np.ndarray, theta: np.ndarray, proximity: "_Proximity"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Returns a posture near theta (20,) in which digits touch, and which; `free` is just before it."""
+        for _ in range(_CORRECTIONS):
+            theta = self._corrected(theta, proximity)
+            proximity = self._proximity(theta)
+            if proximity.depth.max() <= MAX_INTERPENETRATION:
+                return theta, proximity.touching()
+        # Where joint limits or several digits leave no way out, the hand stops on the way there.
+        path = theta + np.linspace(0.0, 1.0, 9)[:, None] * (free - theta)
+        depths = self.depths(path).max(axis=1)
+        nearest = int(np.argmax(depths <= max(MAX_INTERPENETRATION, depths[-1])))
+        return path[nearest], self._proximity(path[nearest]).touching()
+
+    def _corrected(self, theta: np.ndarray, proximity: "_Proximity") -> np.ndarray:
+        """Returns theta (20,) after the least joint motion that brings all depths to `_AIM_M`, linearised."""
+        excess = proximity.depth - _AIM_M
+        contacts = [  # the deepest of each pair of digits
+            start + int(np.argmax(excess[start:end]))
+            for start, end in pairwise(_PAIR_BOUNDS)
+            if excess[start:end].max() > 0
+        ]
+        J = self._distance_jacobian(theta, proximity, contacts)
+        change = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), excess[contacts])
+        change = change.reshape(5, 3)
+        theta = theta + np.column_stack([change, BEND_RATIO * change[:, 2]]).ravel()
+        return np.minimum(np.maximum(theta, self.hand.lower), self.hand.upper)
+
+    def _proximity(self, theta: np.ndarray) -> "_Proximity":
+        return _Proximity.of(*self._capsules(theta), self._touching_distance)
+
+    def _capsules(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns both ends (..., 15, 3), m, in H, of the capsules' axes."""
+        z, x, _, _, bend = self.hand.first_bone(theta)
+        c, s = np.cos(bend)[..., None], np.sin(bend)[..., None]
+        c1, c2, s1, s2 = c[..., 0, :], c[..., 1, :], s[..., 0, :], s[..., 1, :]
+        along, across = self._end
+        chain = np.empty((*z.shape[:-1], 4, 3))
+        chain[..., 1, :] = self.hand.lengths[:, :1] * z
+        chain[..., 0, :] = _WEB * chain[..., 1, :]
+        chain[..., 2, :] = chain[..., 1, :] + self.hand.lengths[:, 1:2] * (c1 * z + s1 * x)
+        chain[..., 3, :] = chain[..., 2, :] + (along * c2 - across * s2) * z + (along * s2 + across * c2) * x
+        return _ends(chain @ self._R_BH + self.hand.p_HB[:, None])
+
+    def _distance_jacobian(
+        self, theta: np.ndarray, proximity: "_Proximity", contacts: Sequence[int]
+    ) -> np.ndarray:
+        """Returns ∂distance/∂x (n, 15), m/rad, of pairs of capsules by x.
+
+        x are abduction, flexion and bend of each digit, as in `FingerMotion`.
+        """
+        _, _, y, _, _ = self.hand.first_bone(theta)
+        x = np.zeros((5, 3))
+        x[:, 0], x[:, 2] = np.cos(theta[1::4]), -np.sin(theta[1::4])
+        axes = np.empty((5, 3, 3))
+        axes[:, 0], axes[:, 1] = -x, (0.0, 1.0, 0.0)
+        axes[:, 2] = np.cos(self.hand.twist)[:, None] * y - np.sin(self.hand.twist)[:, None] * x
+        axes = axes @ self._R_BH
+        start, end = proximity.start, proximity.end
+        J = np.zeros((len(contacts), 5, 3))
+        for row, contact in zip(J, contacts, strict=True):
+            first, second = _FIRST[contact], _SECOND[contact]
+            p_first = start[first] + proximity.s[contact] * (end[first] - start[first])
+            p_second = start[second] + proximity.t[contact] * (end[second] - start[second])
+            apart = p_first - p_second
+            normal = apart / max(math.sqrt(apart @ apart), 1e-9)
+            for capsule, p, direction in ((first, p_first, normal), (second, p_second, -normal)):
+                digit, bone = divmod(int(capsule), 3)
+                # A point's speed along the normal is axis · (arm × normal).
+                base, pip, dip = (
+                    p - (self.hand.p_HB[digit], end[3 * digit], end[3 * digit + 1])
+                ) @ _cross_matrix(direction)
+                row[digit, :2] = axes[digit, :2] @ base
+                if bone:
+                    row[digit, 2] = axes[digit, 2] @ (pip + (BEND_RATIO[digit] * dip if bone == 2 else 0.0))
+        return J.reshape(len(contacts), 15)
+
+
+class _Proximity(NamedTuple):
+    """Capsules and how near all pairs of them are.
+
+    Attributes:
+        start, end: (..., 15, 3) ends of the capsules' axes, m.
+        s, t: (..., n) closest point of the pair's first and second axis, from 0 at its start to 1.
+        depth: (..., n) depth to which the two interpenetrate, m; negative where they are apart.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    s: np.ndarray
+    t: np.ndarray
+    depth: np.ndarray
+
+    @classmethod
+    def of(cls, start: np.ndarray, end: np.ndarray, touching_distance: np.ndarray) -> "_Proximity":
+        # Ericson, Real-Time Collision Detection (2005), section 5.1.9.
+        along = end - start
+        squared = np.einsum("...i,...i", along, along)
+        u, v = along[..., _FIRST, :], along[..., _SECOND, :]
+        w = start[..., _FIRST, :] - start[..., _SECOND, :]
+        a, e = squared[..., _FIRST], squared[..., _SECOND]
+        b, c, f = (np.einsum("...i,...i", *pair) for pair in ((u, v), (u, w), (v, w)))
+        s = np.minimum(np.maximum((b * f - c * e) / np.maximum(a * e - b * b, 1e-6 * a * e), 0.0), 1.0)
+        t = np.minimum(np.maximum((b * s + f) / e, 0.0), 1.0)
+        s = np.minimum(np.maximum((b * t - c) / a, 0.0), 1.0)
+        apart = w + s[..., None] * u - t[..., None] * v
+        return cls(start, end, s, t, touching_distance - np.sqrt(np.einsum("...i,...i", apart, apart)))
+
+    def pair_depths(self) -> np.ndarray:
+        """Returns the deepest depth (..., 10), m, of each pair of digits."""
+        return np.maximum.reduceat(self.depth, _PAIR_BOUNDS[:-1], axis=-1)
+
+    def touching(self) -> np.ndarray:
+        """Returns which digits (5,) touch another one."""
+        touching = np.zeros(5, bool)
+        contacts = self.depth > 0
+        touching[_FIRST[contacts] // 3] = touching[_SECOND[contacts] // 3] = True
+        return touching
+
+
+def _ends(chain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns starts and ends (..., 15, 3) of the segments of chains (..., 5, 4, 3)."""
+    shape = (*chain.shape[:-3], 15, 3)
+    return chain[..., :3, :].reshape(shape), chain[..., 1:, :].reshape(shape)
+
+
+def _cross_matrix(v: np.ndarray) -> np.ndarray:
+    """Returns the matrix (3, 3) with a × v = a @ matrix."""
+    x, y, z = v.tolist()
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
