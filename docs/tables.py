@@ -132,20 +132,6 @@ def protocol_table() -> str:
     return "\n".join(rows)
 
 
-def parameters_table(kind: str, nominal: bool) -> str:
-    """A Markdown table of the parameters that conditions of grasp trials change."""
-    from geort_drake.benchmark import conditions
-    from geort_drake.simulation.scenario import Scenario
-
-    head = ["name", "what changes", *(["nominal"] if nominal else []), "default values"]
-    rows = [head, ["---"] * len(head)]
-    for name, parameter in getattr(conditions, kind).items():
-        values = ", ".join(f"{value:g}" for value in parameter.values)
-        own = [f"{parameter.nominal(Scenario()):g}"] if nominal else []
-        rows.append([f"`{name}`", parameter.label, *own, values])
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
-
-
 def methods_table() -> str:
     """A Markdown table of the retargeting methods."""
     from geort_drake.retargeting.methods import all_methods

@@ -27,8 +27,7 @@ def RetargetingMap_(T):
         def calc(self, context, output):
             p_HF = self.get_input_port().Eval(context)
             if T is AutoDiffXd:
-                value = ExtractValue(p_HF).reshape(-1, 3)
-                q, J = self.retarget(value), self.retarget.jacobian(value)
+                q, J = self.retarget.value_and_jacobian(ExtractValue(p_HF).reshape(-1, 3))
                 gradient = J.reshape(len(q), -1) @ ExtractGradient(p_HF)
                 output.SetFromVector(InitializeAutoDiff(q, gradient).ravel())
             else:

@@ -22,11 +22,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import permutation_test
 
-from geort_drake.comparison.retargeters import retargeter_of
 from geort_drake.console import run_main
 from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.methods import resolve
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
@@ -113,7 +113,7 @@ def map_and_goal(
 ) -> tuple[Any, Any]:
     """Returns the map, worsened by an amount, and the goal that the person selects after free play."""
     hand, recording, person, plans = setting(task_name, hand_name)
-    retarget, _ = retargeter_of(method, hand, recording, 0, lambda *_: Path())
+    retarget, _ = resolve(method, hand, recording)
     if amount:
         keypoints = hand.description.human_keypoints
         rest = recording.fingertips(keypoints).mean(axis=0)

@@ -80,21 +80,16 @@ def play():
 
 @pytest.fixture(scope="module")
 def light_benchmark(play):
-    """Benchmarks run in this process, with a minute of play, few measured calls, and little free play.
-
-    Workers are tested in test_grasp_workers.py, free play in test_trial.py.
-    """
-    from grasp_setup import in_this_process
-
-    from geort_drake.benchmark import folder, methods, trials
+    """Benchmarks have a minute of play, few measured calls, and little free play."""
+    from geort_drake import methods
+    from geort_drake.benchmark import run
     from geort_drake.simulation import free_play
 
-    read = folder.training_recording
+    read = run.training_recording
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trials, "call_in_workers", in_this_process)
         patch.setattr(free_play, "DURATION", 2.0)
         patch.setattr(methods, "_PARTS", 1)
-        patch.setattr(folder, "training_recording", lambda path, *rest: read(path, *rest) if path else play)
+        patch.setattr(run, "training_recording", lambda path, *rest: read(path, *rest) if path else play)
         yield
 
 

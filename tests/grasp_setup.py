@@ -126,11 +126,6 @@ def started(parts: TrialDiagram) -> Simulator:
     return simulator
 
 
-def in_this_process(function, arguments, *_, **__):
-    """`call_in_workers` without workers."""
-    return (function(*each) for each in arguments)
-
-
 def judged(record: dict) -> dict:
     """A benchmark's line without the time that the trial took."""
     return {name: value for name, value in record.items() if name != "wall_time"}

@@ -70,7 +70,7 @@ def test_python_m_and_scripts_are_the_same_program(tmp_path):
 
 def test_facts_repeated_for_help_agree_with_their_modules():
     """Methods and sides, which help lists without importing them."""
-    from geort_drake.benchmark import config
+    from geort_drake.benchmark import log
     from geort_drake.export import episode, lerobot, parquet
     from geort_drake.people import recording
     from geort_drake.people.checks.anatomy import UNITS_M
@@ -82,7 +82,7 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     choices = {action.dest: action.choices for action in parser_of("train")._actions}
     assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
     assert {each.dest: each.choices for each in parser_of("convert")._actions}["unit"] == list(UNITS_M)
-    files = [episode.RESULTS, config.TRIALS, checkpoint.WEIGHTS, parquet.EPISODES, lerobot.INFO]
+    files = [episode.RESULTS, log.TRIALS, checkpoint.WEIGHTS, parquet.EPISODES, lerobot.INFO]
     assert list(options.RESULT_FILES) == files
 
 

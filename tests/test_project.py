@@ -63,6 +63,7 @@ PROGRAMS = [*(f"studies.{name}" for name in STUDIES), *(f"benchmarks.{name}" for
 def test_a_program_starts_and_explains_itself(program, capsys, monkeypatch):
     """Everything it imports exists, and its help names its options."""
     monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    monkeypatch.syspath_prepend(ROOT / "studies")
     with pytest.raises(SystemExit) as stopped:
         importlib.import_module(program).main(["--help"])
     assert stopped.value.code == 0

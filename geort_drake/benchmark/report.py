@@ -1,158 +1,281 @@
-"""Writes reports of a benchmark's folder: `summary.json`, plots, `report.md`."""
+"""Writes the report of a benchmark: `report.md` with its figures, the same for all tasks."""
 
-import functools
-import json
-import shlex
-from collections.abc import Callable, Mapping
+import dataclasses as dc
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
 
-from geort_drake.benchmark.config import CONFIG, SCENARIO, TRIALS, read_config
-from geort_drake.benchmark.folder import rerun_path
-from geort_drake.benchmark.plots import completion_plot, success_panels
-from geort_drake.benchmark.records import Record, by_training, key_of, read_records, training_of
-from geort_drake.benchmark.sensitivity import summarize_sensitivity
-from geort_drake.benchmark.statistics import ending, summarize
-from geort_drake.errors import BenchmarkError
-from geort_drake.files import write_text
-from geort_drake.simulation.scenario_files import load_scenario
-from geort_drake.simulation.tasks.grasp.contacts import grip_of
-from geort_drake.simulation.tasks.grasp.monitor import GraspPhase
+from geort_drake.benchmark.analysis import Interval, endings, frame_of, table
+from geort_drake.benchmark.log import TRIALS, read_rows
+from geort_drake.benchmark.run import Settings, read_settings
+from geort_drake.files import atomic_path, write_text
 
-SUMMARY, MARKDOWN = "summary.json", "report.md"
-# Plot → file to which the report refers.
-FIGURES = {"completion": "completion.svg", "sensitivity": "sensitivity.svg"}
-_PHASES = [phase.name.lower() for phase in GraspPhase if phase not in (GraspPhase.DONE, GraspPhase.THROWN)]
+REPORT, SUCCESS, COMPLETION, VARIED = "report.md", "success.svg", "completion.svg", "varied.svg"
+GROUP = ["task", "kind", "condition"]
+# The Okabe-Ito colours, which colour-blind people can tell apart; marker shapes repeat the distinction.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#8C6D31")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "p", "h", "*")
+# Keeps text as text instead of paths, and makes equal figures give equal files.
+STYLE: Any = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.prop_cycle": cycler(color=COLOURS),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": "medium",
+    "figure.facecolor": "white",
+    "font.size": 9,
+    "grid.alpha": 0.3,
+    "legend.frameon": False,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "geort_drake",
+}
+WIDTH = 7.0  # inches, the text width of a page
+_MEANING = """\
+Intervals are of 95 %, for a population of objects and people of which these are samples.
+
+- *First attempt*: success without a second attempt. *Score*: degree of success.
+- *Time*: mean time to success; failures count as the timeout.
+- *Difference*: of success to the first method, in points, over the same objects, people and seeds.
+- *Won : lost*: pairs in which only this or only the first method succeeded, and the p-value of the exact sign
+  test after Holm's correction for the number of methods.
+- *Unattainable*: trials before which free play showed no plan within the method's reach."""
 
 
-def write_grasp_report(folder: Path) -> dict:
-    """Writes the report of the finished trials in the folder of a grasp benchmark.
+@dc.dataclass(frozen=True)
+class Report:
+    """The figures of a benchmark.
 
-    Args:
-        folder: folder of the benchmark.
-
-    Returns:
-        The summary: the entries of `summarize`; `errors`, the number of trials with an error; `sensitivity`,
-        see `summarize_sensitivity`; `refused`: object that the hand cannot grasp → why; `config`, the
-        benchmark's configuration.
-
-    Raises:
-        BenchmarkError: the folder contains no benchmark, or a damaged one.
-        UnknownNameError: an object has no known grip.
+    Attributes:
+        settings: settings of the benchmark.
+        frame: its trials, see `frame_of`.
+        methods: names of the methods in order.
+        tables: (task, kind, condition) → result of `analysis.table`; the condition of the scenario itself is
+            empty.
     """
-    config = read_config(folder)
-    order = list(dict.fromkeys(training_of(name)[0] for name in config["methods"]))
-    everything = read_records(folder / TRIALS)
-    conditions = ["", *config.get("conditions", {})]
-    for key in map(key_of, everything):
-        known = (
-            key.method in config["methods"]
-            and key.object in config["objects"]
-            and key.condition in conditions
-        )
-        if not known:
-            raise BenchmarkError(f"{folder / TRIALS}: the trial {key} is not in {CONFIG}")
-    records = [record for record in everything if not record.get("condition")]
-    names = list(config["methods"])
-    records.sort(key=lambda r: (names.index(r["method"]), r["object"], r["seed"]))
-    by_method = list(map(by_training, records))
-    grips = {name: grip_of(name) for name in config["objects"]}
-    summary = summarize(by_method, order, config["settings"]["scenario"]["timeout"], grips)
-    sensitivity = summarize_sensitivity(
-        map(by_training, everything), order, load_scenario(folder / SCENARIO, "Resolved")
+
+    settings: Settings
+    frame: pd.DataFrame
+    methods: list[str]
+    tables: dict[tuple[str, str, str], pd.DataFrame]
+
+    def judged(self, group: tuple[str, str, str]) -> pd.DataFrame:
+        """Returns the trials of a group that have a result."""
+        frame = self.frame.groupby(GROUP).get_group(group)
+        return frame[frame["error"].isna()]
+
+    @property
+    def errors(self) -> int:
+        """Number of trials that raised an error."""
+        return int(self.frame["error"].notna().sum())
+
+    def to_json(self) -> dict:
+        """Returns the tables as JSON types, with intervals as [mean, low, high]."""
+        return {
+            "errors": self.errors,
+            "refused": self.settings.refused,
+            "tables": [
+                {**dict(zip(GROUP, key, strict=True)), "methods": each.to_dict("records")}
+                for key, each in self.tables.items()
+            ],
+        }
+
+
+def read_report(folder: Path) -> Report:
+    """Computes the figures of the finished trials in a benchmark's folder."""
+    settings = read_settings(folder)
+    rows = read_rows(folder / TRIALS)
+    frame = frame_of(rows)
+    methods = [name for name in settings.methods if rows and name in set(frame["method"])]
+    groups = frame.groupby(GROUP, sort=False) if rows else ()
+    return Report(settings, frame, methods, {key: table(each, methods) for key, each in groups})
+
+
+def write_report(folder: Path) -> Report:
+    """Writes the report of the finished trials in a benchmark's folder, and returns its figures."""
+    report = read_report(folder)
+    for name, draw in ((SUCCESS, _draw_success), (COMPLETION, _draw_completion), (VARIED, _draw_varied)):
+        with mpl.rc_context(STYLE):
+            figure = draw(report)
+        if figure is not None:
+            with atomic_path(folder / name) as path:
+                figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
+    write_text(folder / REPORT, _markdown(report))
+    return report
+
+
+def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Formats a table in Markdown; all columns but the first contain numbers."""
+    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def cells(row: Mapping[str, Any]) -> list[str]:
+    """Formats the figures of a method, see `HEADINGS`."""
+    p = row["p"]
+    return [
+        row["method"],
+        str(row["trials"]),
+        row["success"].text(),
+        row["first_attempt"].text(),
+        row["score"].text("{:.2f}", 1.0),
+        row["time"].text("{:.1f}", 1.0),
+        row["difference"].text("{:+.0f}"),
+        "–" if np.isnan(p) else f"{row['won']} : {row['lost']}",
+        "–" if np.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}",
+        str(row["unattainable"]),
+    ]
+
+
+HEADINGS = (
+    "method", "trials", "success, %", "first attempt, %", "score", "time, s", "difference", "won : lost", "p",
+    "unattainable",
+)  # fmt: skip
+
+
+def _markdown(report: Report) -> str:
+    settings, parts = report.settings, ["# Benchmark", _MEANING]
+    if report.errors:
+        failed = report.frame[report.frame["error"].notna()]
+        lines = [f"- {'; '.join(map(str, row[:-1]))}: {row[-1]}" for row in _unique(failed, "error")]
+        parts += [f"**Trials that raised an error and are not counted: {report.errors}**", "\n".join(lines)]
+    if settings.refused:
+        lines = [f"- {case}: {reason}" for case, reason in settings.refused.items()]
+        parts += ["Left out, because the hand cannot do it:", "\n".join(lines)]
+    for (task, kind, condition), figures in report.tables.items():
+        title = f"{task}, {kind} people" + (f", {condition}" if condition else "")
+        rows = [cells(row) for row in figures.to_dict("records")]
+        parts += [f"## {title}", markdown_table(HEADINGS, rows)]
+        if not condition:
+            parts += _details(report, (task, kind, condition))
+    parts += [f"## Figures\n\n![Success by method, with intervals]({SUCCESS})"]
+    parts += [f"![Fraction of trials completed over time]({COMPLETION})"]
+    if any(condition for _, _, condition in report.tables):
+        parts += [f"![Success in changed scenarios]({VARIED})"]
+    version = settings.provenance.get("versions", {}).get("geort_drake")
+    commit = (settings.provenance.get("git") or {}).get("commit", "unknown")
+    latencies = ", ".join(
+        f"{name} {1e3 * (entry['latency_s'] or 0.0):.2f} ms" for name, entry in settings.methods.items()
     )
-    errors = [{**record, "trial": str(key_of(record))} for record in everything if "error" in record]
-    summary = {**summary, "errors": len(errors), "sensitivity": sensitivity, "config": config}
-    summary["refused"] = refused = config.get("refused", {})
-    plots = {"completion": completion_plot(by_method, order, summary["timeout_s"])}
-    if sensitivity:
-        plots["sensitivity"] = success_panels(sensitivity)
-    content = {
-        "config": config,
-        "overall": _group(summary, "overall"),
-        "classes": {grip: _group(summary, "classes", grip) for grip in summary["classes"]},
-        "objects": {name: _group(summary, "objects", name) for name in summary["objects"]},
-        "grips": grips,
-        "phases": _PHASES,
-        "plots": plots,
-        "records": [_shown(folder, record) for record in records],
-        "errors": errors,
-        "expected": len(config["methods"]) * (len(config["objects"]) - len(refused)) * config["trials"],
-        "command": f"geort-drake benchmark --output {shlex.quote(str(folder))} --rrd",
+    parts += [
+        "## How it was made",
+        f"Person: {settings.operator or settings.recording or f'synthetic play, seed {settings.seed}'}. "
+        f"Simulated latencies: {latencies}. geort_drake {version}, commit {commit}. Every trial has a row in "
+        f"`{TRIALS}`.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _details(report: Report, group: tuple[str, str, str]) -> list[str]:
+    """Returns success by object, and the outcomes and faults of each method, for the trials of a group."""
+    frame = report.judged(group)
+    if not len(frame):
+        return []
+    rate = frame.astype({"success": float}).pivot_table("success", "method", "object", sort=False)
+    rows = [
+        [name, *("–" if np.isnan(value) else f"{100 * value:.0f}" for value in rate.loc[name])]
+        for name in report.methods
+        if name in rate.index
+    ]
+    lines = []
+    for name in report.methods:
+        own = frame[frame["method"] == name]
+        counts = ", ".join(f"{count} × {ending}" for ending, count in endings(own).most_common())
+        faults = pd.DataFrame([each for each in own["faults"] if isinstance(each, dict)]).sum()
+        told = "".join(f"; {count:.0f} outputs {fault}" for fault, count in faults.items())
+        lines.append(f"- {name}: {counts or '–'}{told}")
+    by_object = markdown_table(["success, %", *map(str, rate.columns)], rows)
+    return [by_object] * (len(rate.columns) > 1) + ["Outcomes:", "\n".join(lines)]
+
+
+def _unique(frame: pd.DataFrame, column: str) -> Iterable[tuple]:
+    """Returns the distinct values of a column with the number of rows, and the method that had them."""
+    for (method, value), group in frame.groupby(["method", column], sort=False):
+        yield method, f"{len(group)} trials", value
+
+
+def _panels(report: Report) -> list[tuple[str, str, str]]:
+    return [group for group in report.tables if not group[2]]
+
+
+def _draw_success(report: Report) -> Figure | None:
+    """Draws success with its interval, a panel for each task and kind of person."""
+    panels = _panels(report)
+    if not panels:
+        return None
+    figure, grid = _grid(len(panels), 0.5 + 0.22 * len(report.methods))
+    for axes, group in zip(grid, panels, strict=True):
+        for number, interval in enumerate(report.tables[group]["success"]):
+            _point(axes, interval, number, number)
+        axes.set(title=", ".join(group[:2]), xlim=(-2, 102), ylim=(len(report.methods) - 0.5, -0.5))
+        axes.set_yticks(range(len(report.methods)), report.methods)
+        axes.set_xlabel("success, %")
+    return figure
+
+
+def _point(axes: Any, interval: Interval, y: float, number: int, label: str | None = None) -> None:
+    mean, low, high = (100 * value for value in interval)
+    if not np.isnan(mean):
+        errors = None if np.isnan(low) else [[mean - low], [high - mean]]
+        style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+        axes.errorbar([mean], [y], xerr=errors, label=label, linestyle="", markersize=4, **style)
+
+
+def _draw_completion(report: Report) -> Figure | None:
+    """Draws the fraction of trials completed over time, a panel for each task and kind of person."""
+    panels = _panels(report)
+    if not panels:
+        return None
+    figure, grid = _grid(len(panels), 2.0)
+    for axes, group in zip(grid, panels, strict=True):
+        judged = report.judged(group)
+        for number, name in enumerate(report.methods):
+            own = judged[judged["method"] == name]
+            times = np.sort(own["completion_time"].dropna().to_numpy(float))
+            t = [0.0, *times, own["timeout"].max() if len(own) else 0.0]
+            share = [0.0, *(100 * np.arange(1, len(times) + 1) / max(len(own), 1))]
+            colour = COLOURS[number % len(COLOURS)]
+            axes.step(t, [*share, share[-1]], where="post", label=name, color=colour, linewidth=1.2)
+        axes.set(title=", ".join(group[:2]), xlabel="time, s", ylabel="completed, %", ylim=(-2, 102))
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
+
+
+def _draw_varied(report: Report) -> Figure | None:
+    """Draws success in changed scenarios, a panel for each task, kind of person and changed field."""
+    fields = {
+        (task, kind, condition.partition("=")[0]) for task, kind, condition in report.tables if condition
     }
-    _write(folder, "grasp", summary, plots, content)
-    return summary
+    if not fields:
+        return None
+    panels = sorted(fields)
+    figure, grid = _grid(len(panels), 2.4)
+    for axes, (task, kind, field) in zip(grid, panels, strict=True):
+        groups = [group for group in report.tables if group[:2] == (task, kind)]
+        groups = [group for group in groups if group[2].partition("=")[0] in ("", field)]
+        for number, name in enumerate(report.methods):
+            for place, group in enumerate(groups):
+                figures = report.tables[group].set_index("method")
+                offset = 0.6 * ((number + 0.5) / len(report.methods) - 0.5)
+                _point(axes, figures.loc[name, "success"], place + offset, number, None if place else name)
+        axes.set_yticks(range(len(groups)), [group[2].partition("=")[2] or "nominal" for group in groups])
+        axes.set(title=f"{task}, {kind}: {field}", xlabel="success, %", xlim=(-2, 102))
+    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
 
 
-def _write(
-    folder: Path,
-    kind: str,
-    summary: dict,
-    plots: Mapping[str, str],
-    content: Mapping[str, object],
-) -> None:
-    """Writes the summary, the plots (name → SVG), and the report from the template of `kind`."""
-    write_text(folder / SUMMARY, json.dumps(summary, indent=2, allow_nan=False) + "\n")
-    for name, plot in plots.items():
-        write_text(folder / FIGURES[name], plot)
-    template = _environment().get_template(f"{kind}_{MARKDOWN}.j2")
-    write_text(folder / MARKDOWN, template.render(summary=summary, figures=FIGURES, **content))
-
-
-def _group(summary: dict, *path: str) -> dict:
-    """Returns figures and differences of all methods at a path of keys such as ("objects", "cube")."""
-
-    def each(entries: dict[str, dict]) -> dict[str, dict]:
-        return {name: functools.reduce(dict.__getitem__, path, entry) for name, entry in entries.items()}
-
-    return {"methods": each(summary["methods"]), "differences": each(summary["differences"])}
-
-
-def _shown(folder: Path, record: Record) -> dict:
-    """Returns a record with its Rerun recording, if there is one, and its ending."""
-    path = rerun_path(folder, key_of(record))
-    recording = path.relative_to(folder).as_posix() if path.is_file() else None
-    return {**record, "rrd": recording, "ending": None if "error" in record else ending(record)}
-
-
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("geort_drake.benchmark"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "proportion": _proportion,
-        "seconds": _with_interval("{:.1f}"),
-        "points": _with_interval("{:+.0f}", scale=100),
-        "signed": _with_interval("{:+.1f}"),
-        "plain": "{:g}".format,
-        "number": _number,
-        "probability": lambda p: "< 0.001" if p < 0.001 else f"{p:.3f}",
-        "counted": lambda counts: ", ".join(f"{n} × {name}" for name, n in counts.items()) or "none",
-    }
-    return environment
-
-
-def _number(value: float | None, digits: int = 1) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _proportion(value: dict) -> str:
-    if value["rate"] is None:
-        return "–"
-    return "{:.0f} % [{:.0f}, {:.0f}]".format(*(100 * value[name] for name in ("rate", "low", "high")))
-
-
-def _with_interval(form: str, scale: float = 1) -> Callable[[dict], str]:
-    def text(value: dict) -> str:
-        mean, low, high = (
-            None if value[key] is None else form.format(scale * value[key]) for key in ("mean", "low", "high")
-        )
-        if mean is None:
-            return "–"
-        return mean if low is None else f"{mean} [{low}, {high}]"
-
-    return text
+def _grid(count: int, height: float) -> tuple[Figure, list[Any]]:
+    """Makes a figure with `count` panels, two in a row, of this height in inches."""
+    columns = min(2, count)
+    rows = -(-count // columns)
+    figure = Figure(figsize=(WIDTH, 0.8 + (0.5 + height) * rows), layout="constrained")
+    grid = list(figure.subplots(rows, columns, squeeze=False).ravel())
+    for axes in grid[count:]:
+        axes.remove()
+    return figure, grid[:count]

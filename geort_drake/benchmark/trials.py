@@ -1,20 +1,15 @@
-"""Plans and simulates a benchmark's trials in workers, and logs their results.
-
-Workers load this module, so it imports neither training nor plots.
-"""
+"""Plans and simulates the trials of a benchmark; workers load this module, so it imports no training."""
 
 import dataclasses as dc
 import logging
 import os
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from geort_drake.benchmark.own_method import OwnMethod
-from geort_drake.benchmark.records import Record, TrialKey, TrialLog, identity, keep_error
-from geort_drake.benchmark.workers import call_in_workers
+from geort_drake.benchmark.log import Row, TrialKey
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import load_hand
+from geort_drake.own_method import OwnMethod
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.method import Retarget
@@ -28,8 +23,8 @@ class Trial(NamedTuple):
     """Everything a worker needs to simulate one trial.
 
     Attributes:
-        key: key of the trial; its object and seed replace those of the scenario.
-        scenario_text: the resolved scenario, as YAML.
+        key: key of the trial; its object, person and seed replace those of the scenario.
+        scenario_text: the scenario, as YAML, because Drake's configurations cannot be pickled.
         retarget: the method; must be picklable.
         latency: time from keypoints to joint targets, s.
         human: the simulated person's hand and goal, or a recorded session.
@@ -44,31 +39,6 @@ class Trial(NamedTuple):
     attainable: bool = True
 
 
-def run_trials(log: TrialLog, trials: Iterable[Trial], jobs: int, backend: str) -> Iterator[Record]:
-    """Simulates trials in workers; logs and yields each record as its trial ends.
-
-    Args:
-        log: results file in the benchmark's folder.
-        trials: trials to simulate.
-        jobs, backend: see `call_in_workers`.
-
-    Raises:
-        BenchmarkError, GeortError: see `call_in_workers`; finished trials are kept.
-    """
-    for record in call_in_workers(simulate, ((trial,) for trial in trials), jobs, backend):
-        kept = keep_error(log.path.parent, record)
-        log.append(kept)
-        yield kept
-
-
-def plan_cases(
-    scenario_text: str, cases: Sequence[str], jobs: int, backend: str
-) -> Iterator[tuple[str, list | str]]:
-    """Plans cases of a task in workers; yields each name and its result of `plan`, in order."""
-    arguments = ((scenario_text, name) for name in cases)
-    yield from zip(cases, call_in_workers(plan, arguments, jobs, backend, ordered=True), strict=True)
-
-
 def plan(scenario_text: str, case: str) -> list | str:
     """Returns the goals for a case of the scenario's task, or why the hand cannot do it."""
     scenario = _scenario(scenario_text, case)
@@ -78,7 +48,7 @@ def plan(scenario_text: str, case: str) -> list | str:
         return str(error)
 
 
-def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Record:
+def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Row:
     """Simulates a trial.
 
     Args:
@@ -86,13 +56,13 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
         rerun_path: file of the Rerun recording; None for none.
 
     Returns:
-        `method`, `condition`, the fields of the task's result, `attainable`, and `faults` of an
-        `OwnMethod`; after an exception, `error` with its traceback instead of a result.
+        The fields of the key and of the task's result, `timeout`, `attainable`, and `faults` of an
+        `OwnMethod`; after an exception, `error` and its `traceback` instead of a result.
     """
     key = trial.key
     try:
         scenario = _scenario(trial.scenario_text, key.object)
-        scenario.random_seed = key.seed
+        scenario.random_seed, scenario.person = key.seed, key.person
         scenario.retargeting.latency = trial.latency
         result, _ = run_trial(
             scenario,
@@ -102,12 +72,17 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Recor
             {"method": key.method},
             model=_robot_model(scenario),
         )
-    except Exception:
-        return {**identity(key), "error": traceback.format_exc()}
-    record = {**identity(key), **result.to_json(), "attainable": trial.attainable}
+    except Exception as error:
+        return error_row(key, f"{type(error).__name__}: {error}", traceback.format_exc())
+    row = {**result.to_json(), **key._asdict(), "timeout": scenario.timeout, "attainable": trial.attainable}
     if isinstance(trial.retarget, OwnMethod):
-        record["faults"] = dict(trial.retarget.faults)
-    return record
+        row["faults"] = dict(trial.retarget.faults)
+    return row
+
+
+def error_row(key: TrialKey, error: str, trace: str = "") -> Row:
+    """Returns the row of a trial that could not be simulated."""
+    return {**key._asdict(), "error": error, "traceback": trace}
 
 
 # Fields of a scenario that determine its robot; and the robot of this worker's last trial.

@@ -51,8 +51,8 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.comparison import Comparison, Outcome
     from geort_drake.comparison.protocols import held_out, other_person, same_person
     from geort_drake.comparison.report import failures, report, tables
-    from geort_drake.comparison.retargeters import names_of
     from geort_drake.console import console, progress_bar, warn
+    from geort_drake.methods import names_of
 
     description = load_hand(arguments.hand)
     hand = HandModel(description)

@@ -54,7 +54,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--recording", type=Path, help="recording of the person's hand (default: synthetic play)")
     parser.add_side()
     retargeter = (
-        "method listed below, checkpoint (also give its --recording) or map (default: "
+        "method listed below, checkpoint (also give its --recording), map or Python file (default: "
         f"{SHIPPED_METHOD} if the hand has a map, else {DEFAULT_METHOD})"
     )
     add("--retargeter", metavar="NAME", help=retargeter)
@@ -74,11 +74,12 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, __version__, load_hand, run_trial
     from geort_drake.benchmark.trials import plan
-    from geort_drake.comparison.retargeters import names_of, retargeter_of
     from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.export.episode import RESULTS, SCENARIO
     from geort_drake.files import locked, write_text
+    from geort_drake.methods import names_of, resolve
+    from geort_drake.own_method import OwnMethod
     from geort_drake.retargeting.checkpoint import load_checkpoint
     from geort_drake.retargeting.retargeter import UniversalRetargeter
     from geort_drake.simulation.free_play import after_play, keep_reached, persons_hand, seen_fingertips
@@ -107,7 +108,7 @@ def run(arguments: argparse.Namespace) -> int:
         for reason in refused:
             warn(f"left out: {reason}")
         scenarios = [scenario for scenario in scenarios if isinstance(plans[scenario.object.name], list)]
-    retarget, checkpoint = retargeter_of(method, hand, recording, arguments.seed, arguments.device)
+    retarget, checkpoint = resolve(method, hand, recording, arguments.seed, arguments.device)
     source = str(arguments.recording or f"synthetic play, seed {arguments.seed}")
     say(f"Human motion: {source}")
     properties: dict[str, str | float] = {"method": method, "hand": description.name}
@@ -115,6 +116,8 @@ def run(arguments: argparse.Namespace) -> int:
     properties |= {f"session_{name}": json.dumps(value) for name, value in session.items()}
     if checkpoint is None:
         say(f"Retargeter:   {method} (needs no training)")
+    elif isinstance(retarget, OwnMethod):
+        say(f"Retargeter:   {checkpoint} (own method)")
     elif isinstance(retarget, UniversalRetargeter):
         say(f"Retargeter:   {checkpoint} (universal)")
         properties |= {"checkpoint": str(checkpoint), "method": SHIPPED_METHOD}

@@ -16,10 +16,10 @@ from geort_drake.comparison.metrics import (
     robot_space,
 )
 from geort_drake.comparison.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
-from geort_drake.comparison.retargeters import retargeter_of
 from geort_drake.errors import CheckpointError, GeortError, RecordingError
 from geort_drake.files import finite_json
 from geort_drake.hands.model import HandModel
+from geort_drake.methods import PYTHON_SUFFIX, resolve
 from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.retargeting.map_file import SUFFIX
 from geort_drake.retargeting.methods import all_methods
@@ -157,9 +157,9 @@ class Comparison:
         return Evaluation(finite_json(metrics), settled is not None, frames, p_BF)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
-        if name not in all_methods() and Path(name).suffix != SUFFIX:
+        if name not in all_methods() and Path(name).suffix not in (SUFFIX, PYTHON_SUFFIX):
             _check_checkpoint(name, protocol, case)
-        retarget, _ = retargeter_of(name, self.hand, case.trained_on, seed)
+        retarget, _ = resolve(name, self.hand, case.trained_on, seed)
         return adapted(retarget, case.scored_on)
 
     def space(self, seed: int) -> RobotSpace:

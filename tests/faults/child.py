@@ -22,7 +22,6 @@ _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
     [
         "geort_drake.comparison.train",
-        "geort_drake.benchmark.folder",
         "geort_drake.benchmark.report",
         "geort_drake.simulation.trial",
         "geort_drake.rerun",

@@ -21,7 +21,6 @@ from safetensors.numpy import load_file, save_file
 from faults.child import run
 from faults.sound import checkpoint
 from geort_drake import load_retargeter
-from geort_drake.benchmark.records import read_records
 from geort_drake.cli import run_command
 from geort_drake.files import sha256_of
 from geort_drake.resources import models_dir
@@ -36,7 +35,7 @@ class Case:
     """An input that must be refused.
 
     Attributes:
-        kind: recording, checkpoint, scenario, hand or results.
+        kind: recording, checkpoint, scenario or hand.
         name: what is wrong with it.
         make: writes the input into a folder and returns a command and its arguments, or a function and its
             arguments.
@@ -368,20 +367,9 @@ SCENARIOS: dict[str, tuple[Make, str]] = {
 }
 
 
-def results(content: bytes) -> Make:
-    """Reads a benchmark's results of that content."""
-
-    def make(folder: Path) -> tuple:
-        (folder / "trials.jsonl").write_bytes(content + b"\n")
-        return read_records, folder / "trials.jsonl"
-
-    return make
-
-
 CASES = [
     *(Case("recording", name, make, "RecordingError", text) for name, (make, text) in RECORDINGS.items()),
     *(Case("checkpoint", name, make, "CheckpointError", text) for name, (make, text) in CHECKPOINTS.items()),
     *(Case("hand", name, make, "HandError", text) for name, (make, text) in HANDS.items()),
     *(Case("scenario", name, make, "ScenarioError", text) for name, (make, text) in SCENARIOS.items()),
-    Case("results", "100,000 deep", results(DEEP), "BenchmarkError", "line 1: not a trial"),
 ]

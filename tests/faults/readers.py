@@ -11,12 +11,9 @@ import numpy as np
 from glove_files import WRITERS, moving
 from hand_family import HandSpec, write_hand
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
-from trial_records import error, trial
 
 from faults.sound import checkpoint
 from geort_drake import HandModel, load_retargeter, load_scenario
-from geort_drake.benchmark.config import CONFIG, TRIALS, read_config
-from geort_drake.benchmark.records import read_records
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
@@ -50,7 +47,6 @@ class Reader:
 def sound_inputs(folder: Path) -> list[Reader]:
     """Writes a valid input of every kind into a folder, and reads each."""
     readers = [*_recordings(folder), *_checkpoints(folder), *_descriptions(folder), *_messages(folder)]
-    readers += _results(folder)
     for reader in readers:
         reader.read(reader.path)
     return readers
@@ -98,21 +94,6 @@ def _messages(folder: Path) -> list[Reader]:
     return [Reader(f"message {name}", room / name, read) for name, read in zip(messages, reads, strict=True)]
 
 
-def _results(folder: Path) -> list[Reader]:
-    room = _room(folder, "results")
-    lines = [error(seed=0), trial(seed=1), trial(seed=2, time=None)]
-    (room / TRIALS).write_text("".join(json.dumps(line) + "\n" for line in lines))
-    digests = ("recording_sha256", "operator_sha256", "hand_sha256", "models_sha256", "code_sha256")
-    settings = {
-        **dict.fromkeys(digests, "0" * 64), "training_seed": 0, "latency": "zero", "hand": "allegro_right",
-        "scenario": {"random_seed": 0, "timeout": 25.0}, "versions": {"python": "3.11"}
-    }  # fmt: skip
-    methods = {"hold": {"weights_sha256": None, "latency_s": 0.0}}
-    config = {"settings": settings, "objects": ["cube"], "methods": methods, "trials": 3, "notes": {}}
-    (room / CONFIG).write_text(json.dumps(config))
-    return [Reader("trials", room / TRIALS, read_records), Reader("benchmark", room / CONFIG, configuration)]
-
-
 def _room(folder: Path, name: str) -> Path:
     (folder / name).mkdir(parents=True)
     return folder / name
@@ -126,10 +107,6 @@ def recording(path: Path) -> None:
 
 def recording_folder(path: Path) -> None:
     recording(path.parent)
-
-
-def configuration(path: Path) -> None:
-    read_config(path.parent)
 
 
 def retargeter(path: Path) -> None:

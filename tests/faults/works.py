@@ -10,7 +10,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-from grasp_setup import TOO_SHORT, allegro, in_this_process, judged, reach_goal
+from grasp_setup import TOO_SHORT, allegro, judged, reach_goal
 from joblib.externals.loky import get_reusable_executor
 from light_training import train_lightly
 from pydrake.systems.analysis import Simulator
@@ -43,22 +43,19 @@ def train(seed: int) -> None:
 
 
 def benchmark(seed: int, jobs: int = 1) -> None:
-    """A benchmark, one job without a worker.
+    """A benchmark, one job in this process.
 
     It has fewer trials with seed 1 than with seed 0, which resumes it.
     """
-    from geort_drake.benchmark import trials
-    from geort_drake.comparison import train
+    from geort_drake.benchmark import run
 
     argv = [
         "--output", ".", "--methods", "hold", "--objects", "cylinder", "--jobs", str(jobs),
         "--scenario-text", TOO_SHORT, "--trials", "1" if seed == 1 else "2", "--zero-latency",
     ]  # fmt: skip
-    call = in_this_process if jobs == 1 else trials.call_in_workers
     with (
-        mock.patch.object(trials, "call_in_workers", call),
-        mock.patch.object(trials, "plan", lambda *_: [reach_goal()]),
-        mock.patch.object(train, "synthesize_play", lambda seed, side: play()),
+        mock.patch.object(run, "plan", lambda *_: [reach_goal()]),
+        mock.patch.object(run, "training_recording", lambda *_: play()),
     ):
         run_command("benchmark", argv)
     if jobs > 1:
@@ -114,7 +111,7 @@ def results(folder: Path) -> dict[str, str]:
     Raises an error for a result that is incomplete. What depends on the clock does not count, nor what is
     kept of an interrupted session, which has tests of its own.
     """
-    from geort_drake.benchmark.records import key_of, read_records
+    from geort_drake.benchmark.log import key_of, read_rows
     from geort_drake.retargeting.checkpoint import load_checkpoint
 
     found = {}
@@ -131,7 +128,7 @@ def results(folder: Path) -> dict[str, str]:
         elif path.suffix == ".json":
             json.loads(path.read_text())
         elif path.suffix == ".jsonl":
-            found |= {str(key_of(trial)): json.dumps(judged(trial)) for trial in read_records(path)}
+            found |= {str(key_of(trial)): json.dumps(judged(trial)) for trial in read_rows(path)}
         elif path.suffix == ".rrd":
             found[name] = _digest_of_rrd(path)
     return found

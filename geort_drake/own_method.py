@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import MethodError
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.description import HandDescription
+from geort_drake.hands.hand import Hand
 
 MAX_CALL_TIME = 0.3  # s, longest duration of a call
 _TOLERANCE = 2e-3  # rad; optimisers may end slightly outside the limits
@@ -20,25 +21,26 @@ _TOLERANCE = 2e-3  # rad; optimisers may end slightly outside the limits
 class OwnMethod:
     """Calls the retargeter from a user's file; its faults do not end a trial.
 
-    The file defines `make(hand)`, which takes the `HandModel` and returns a function from keypoints p_HK
+    The file defines `make(hand)`, which takes the `Hand` and returns a function from keypoints p_HK
     (21, 3) of a right hand, m in H, to joint angles (n,), rad, in the order of `hand.joint_names`. `make` is
     called for each trial, so the function may remember earlier frames. Unusable outputs become NaN, which
     `RetargetingSystem` does not follow; angles outside the limits are clamped to them.
 
     Attributes:
-        joint_names, lower, upper: joints of the hand and their limits, rad.
+        finger_names, joint_names, lower, upper: fingers and joints of the hand, and the joints' limits, rad.
         faults: kind of fault → number of outputs since `reset`.
     """
 
-    def __init__(self, path: Path, hand_name: str):
-        """`hand_name` is the name or file of the hand's description."""
-        self._path, self._hand_name = path, hand_name
-        hand = HandModel(hand_name)
-        self.joint_names, self.lower, self.upper = hand.joint_names, hand.lower, hand.upper
+    def __init__(self, path: Path, description: HandDescription | str):
+        """`description` is the hand's, or its name or file."""
+        self._path, self._description = path, description
+        hand = Hand(description)
+        self.finger_names, self.joint_names = hand.finger_names, hand.joint_names
+        self.lower, self.upper = hand.lower, hand.upper
         self.reset()
 
     def __reduce__(self) -> tuple:
-        return OwnMethod, (self._path, self._hand_name)  # solvers cannot be pickled
+        return OwnMethod, (self._path, self._description)  # solvers cannot be pickled
 
     def reset(self) -> None:
         """Begins a new trial."""
@@ -57,7 +59,7 @@ class OwnMethod:
             self._retarget_frame(p_HK)
             started = time.perf_counter()
             q = self._retarget_frame(p_HK)
-            spent = time.perf_counter() - started
+            duration = time.perf_counter() - started
         except MethodError:
             raise
         except Exception as error:
@@ -65,13 +67,18 @@ class OwnMethod:
         if fault := self._fault(q):
             expected = f"joint angles ({len(self.lower)},), rad, within the limits"
             raise MethodError(f"{self._path}: the output for a frame must be {expected}; it is {fault}")
-        if spent > MAX_CALL_TIME:
+        if duration > MAX_CALL_TIME:
             raise MethodError(
-                f"{self._path}: a call may take at most {MAX_CALL_TIME} s; it takes {spent:.2g} s"
+                f"{self._path}: a call may take at most {MAX_CALL_TIME} s; it takes {duration:.2g} s"
             )
 
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        """Returns joint angles (n,), rad, clamped to the limits; NaN if the output is unusable."""
+        """Returns joint angles (n,), rad, or (N, n) for hands (N, 21, 3), which the method gets in order.
+
+        Angles are clamped to the limits; they are NaN if the output is unusable.
+        """
+        if np.ndim(p_HK) == 3:
+            return np.array([self(frame) for frame in p_HK]).reshape(-1, len(self.lower))
         try:
             q = self._retarget_frame(p_HK)
         except Exception as error:  # a method may raise anything; the trial records it
@@ -89,10 +96,12 @@ class OwnMethod:
             make = getattr(_load(self._path), "make", None)
             if not callable(make):
                 raise MethodError(f"{self._path}: the file must define a function make(hand)")
-            made = make(HandModel(self._hand_name))
-            if not callable(made):
-                raise MethodError(f"{self._path}: make(hand) must return a function; it returned {made!r}")
-            self._retarget = made
+            retarget = make(Hand(self._description))
+            if not callable(retarget):
+                raise MethodError(
+                    f"{self._path}: make(hand) must return a function; it returned {retarget!r}"
+                )
+            self._retarget = retarget
         return np.asarray(self._retarget(np.array(p_HK, float)), float)
 
     def _fault(self, q: np.ndarray) -> str:
