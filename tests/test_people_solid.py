@@ -5,6 +5,7 @@ import pytest
 
 from geort_drake import read_recording, synthesize_play
 from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.play import pinch_postures
 from geort_drake.people.population import sample_person
 from geort_drake.people.synthetic.solid import DIGIT_PAIRS, MAX_INTERPENETRATION, SolidHand
 
@@ -18,6 +19,19 @@ def flat_hand(abduction_deg):
     theta[0] = np.deg2rad([50, -20, 0, 0])
     theta[1, 0] = np.deg2rad(abduction_deg)
     return theta.ravel()
+
+
+def pinch():
+    """A posture whose pads of thumb and index finger touch, and their contact's normal towards the thumb."""
+    theta = SOLID.separate(pinch_postures(HAND, 1, np.random.default_rng(0))[0, 0])
+    for _ in range(20):  # close what gap is left
+        p_HF = HAND.fingertips(theta)
+        p_HF[:2] = p_HF[:2].mean(axis=0)
+        theta, touching = SOLID.move(theta, theta + 0.2 * (HAND.solve_fingertips(p_HF, theta) - theta))
+    assert touching[:2].all()
+    proximity = SOLID._proximity(theta)
+    (normal,) = proximity.apart([int(np.argmax(proximity.depth))])
+    return theta, normal / np.linalg.norm(normal)
 
 
 def test_depth_is_that_of_two_capsules():
@@ -44,6 +58,43 @@ def test_keypoints_and_joint_angles_give_the_same_depths():
     depths = SOLID.depths(theta)
     assert depths.shape == (4, 50, 10)
     np.testing.assert_allclose(SOLID.keypoint_depths(HAND.keypoints(theta)), depths, atol=1e-12)
+
+
+def ask(theta, shift, calls=100):
+    """Asks thumb and index finger of a posture to shift their tips (2, 3), m; returns posture and touch."""
+    wanted = HAND.fingertips(theta)
+    wanted[:2] += shift
+    for _ in range(calls):
+        goal = HAND.solve_fingertips(wanted, theta)
+        theta, touching = SOLID.move(theta, theta + np.clip(goal - theta, -0.02, 0.02))
+        assert SOLID.depths(theta).max() <= MAX_INTERPENETRATION
+    return theta, touching
+
+
+def test_thumb_and_finger_stop_at_each_other_however_far_they_want_to_go():
+    """Tips asked to pass each other by 24 mm hardly move; both digits feel it; opening frees them."""
+    theta, normal = pinch()
+    before = HAND.fingertips(theta)
+    pressed, touching = ask(theta, 0.012 * np.array([-normal, normal]))
+    np.testing.assert_array_equal(touching, [True, True, False, False, False])
+    assert np.abs(HAND.fingertips(pressed) - before)[:2].max() < 0.004
+    opened, touching = ask(pressed, 0.015 * np.array([normal, -normal]))
+    assert not touching.any()
+    assert (HAND.fingertips(opened) - HAND.fingertips(pressed))[0] @ normal > 0.01
+
+
+def test_pads_that_press_less_than_they_are_moved_sideways_slide():
+    """Asked for 3 mm of pressure and 15 mm to the side, the thumb slides; for 20 mm and 3, it sticks."""
+    theta, normal = pinch()
+    sideways = np.cross(normal, [1.0, 0.0, 0.0])
+    sideways /= np.linalg.norm(sideways)
+    moved = {}
+    for press, side in ((0.0015, 0.015), (0.010, 0.003)):
+        reached, _ = ask(theta, np.array([side * sideways - press * normal, press * normal]))
+        change = HAND.fingertips(reached) - HAND.fingertips(theta)
+        moved[press] = (change[0] - change[1]) @ sideways
+    assert moved[0.0015] > 0.007
+    assert moved[0.010] < 0.003
 
 
 def test_a_large_step_does_not_jump_through_a_finger():

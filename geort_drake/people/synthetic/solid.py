@@ -41,6 +41,7 @@ _WEB = 0.5  # part of a finger's first bone that lies in the web
 _STEP_M = 4e-3  # points at which a path is checked are at most this far apart, less than a digit's thickness
 _AIM_M = 1.5e-3  # depth to which a posture that interpenetrates is corrected
 _DAMPING = (1e-3) ** 2  # corrections are damped where a radian moves less than 1 mm
+_FRICTION = 1.0  # coefficient between skin and skin (assumption)
 _CORRECTIONS, _SEPARATIONS = 4, 20  # iterations
 
 # Capsules are numbered 3 · digit + bone. All pairs of capsules of two digits, in the order of `DIGIT_PAIRS`;
@@ -100,7 +101,7 @@ class SolidHand:
         return _Proximity.of(*_ends(chain), self._touching_distance).pair_depths()
 
     def move(self, theta: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Moves the hand towards a posture until digits touch, and lets them slide along each other.
+        """Moves the hand towards a posture until digits touch; they slide along each other unless pressed.
 
         Args:
             theta: (20,) present joint angles, rad, which interpenetrate by at most `MAX_INTERPENETRATION`.
@@ -146,27 +147,45 @@ class SolidHand:
         self, free: np.ndarray, theta: np.ndarray, proximity: "_Proximity"
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns a posture near theta (20,) in which digits touch, and which; `free` is just before it."""
+        friction = self._capsules(free)
         for _ in range(_CORRECTIONS):
-            theta = self._corrected(theta, proximity)
+            theta = self._corrected(theta, proximity, friction)
             proximity = self._proximity(theta)
             if proximity.depth.max() <= MAX_INTERPENETRATION:
                 return theta, proximity.touching()
+            friction = None
         # Where joint limits or several digits leave no way out, the hand stops on the way there.
         path = theta + np.linspace(0.0, 1.0, 9)[:, None] * (free - theta)
         depths = self.depths(path).max(axis=1)
         nearest = int(np.argmax(depths <= max(MAX_INTERPENETRATION, depths[-1])))
         return path[nearest], self._proximity(path[nearest]).touching()
 
-    def _corrected(self, theta: np.ndarray, proximity: "_Proximity") -> np.ndarray:
-        """Returns theta (20,) after the least joint motion that brings all depths to `_AIM_M`, linearised."""
+    def _corrected(
+        self, theta: np.ndarray, proximity: "_Proximity", before: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> np.ndarray:
+        """Returns theta (20,) after the least joint motion that brings all depths to `_AIM_M`, linearised.
+
+        With the ends of the capsules `before` the motion, friction also holds skin on skin as it is pressed.
+        """
         excess = proximity.depth - _AIM_M
         contacts = [  # the deepest of each pair of digits
             start + int(np.argmax(excess[start:end]))
             for start, end in pairwise(_PAIR_BOUNDS)
             if excess[start:end].max() > 0
         ]
-        J = self._distance_jacobian(theta, proximity, contacts)
-        change = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), excess[contacts])
+        apart = proximity.apart(contacts)
+        normal = apart / np.maximum(np.sqrt(np.sum(apart**2, axis=1, keepdims=True)), 1e-9)
+        J = self._contact_jacobian(theta, proximity, contacts)
+        push = excess[contacts]
+        if before is None:
+            J, wanted = (normal[:, None] @ J)[:, 0], push
+        else:
+            slip = apart - proximity._replace(start=before[0], end=before[1]).apart(contacts)
+            slip -= np.sum(slip * normal, axis=1, keepdims=True) * normal
+            distance = np.maximum(np.sqrt(np.sum(slip**2, axis=1)), 1e-9)
+            held = np.minimum(1.0, _FRICTION * push / distance)[:, None] * slip
+            J, wanted = J.reshape(-1, 15), (push[:, None] * normal - held).ravel()
+        change = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), wanted)
         change = change.reshape(5, 3)
         theta = theta + np.column_stack([change, BEND_RATIO * change[:, 2]]).ravel()
         return np.minimum(np.maximum(theta, self.hand.lower), self.hand.upper)
@@ -187,10 +206,10 @@ class SolidHand:
         chain[..., 3, :] = chain[..., 2, :] + (along * c2 - across * s2) * z + (along * s2 + across * c2) * x
         return _ends(chain @ self._R_BH + self.hand.p_HB[:, None])
 
-    def _distance_jacobian(
+    def _contact_jacobian(
         self, theta: np.ndarray, proximity: "_Proximity", contacts: Sequence[int]
     ) -> np.ndarray:
-        """Returns ∂distance/∂x (n, 15), m/rad, of pairs of capsules by x.
+        """Returns ∂p/∂x (n, 3, 15), m/rad, of the first capsule's closest point p relative to the second's.
 
         x are abduction, flexion and bend of each digit, as in `FingerMotion`.
         """
@@ -201,24 +220,19 @@ class SolidHand:
         axes[:, 0], axes[:, 1] = -x, (0.0, 1.0, 0.0)
         axes[:, 2] = np.cos(self.hand.twist)[:, None] * y - np.sin(self.hand.twist)[:, None] * x
         axes = axes @ self._R_BH
-        start, end = proximity.start, proximity.end
-        J = np.zeros((len(contacts), 5, 3))
-        for row, contact in zip(J, contacts, strict=True):
-            first, second = _FIRST[contact], _SECOND[contact]
-            p_first = start[first] + proximity.s[contact] * (end[first] - start[first])
-            p_second = start[second] + proximity.t[contact] * (end[second] - start[second])
-            apart = p_first - p_second
-            normal = apart / max(math.sqrt(apart @ apart), 1e-9)
-            for capsule, p, direction in ((first, p_first, normal), (second, p_second, -normal)):
-                digit, bone = divmod(int(capsule), 3)
-                # A point's speed along the normal is axis · (arm × normal).
-                base, pip, dip = (
-                    p - (self.hand.p_HB[digit], end[3 * digit], end[3 * digit + 1])
-                ) @ _cross_matrix(direction)
-                row[digit, :2] = axes[digit, :2] @ base
+        J = np.zeros((len(contacts), 5, 3, 3))
+        for motion, contact in zip(J, contacts, strict=True):
+            for points, pair, sign in ((proximity.s, _FIRST, 1.0), (proximity.t, _SECOND, -1.0)):
+                start, end = proximity.start[pair[contact]], proximity.end[pair[contact]]
+                p = start + points[contact] * (end - start)
+                digit, bone = divmod(int(pair[contact]), 3)
+                motion[digit, :2] = axes[digit, :2] @ _cross_matrix(sign * (p - self.hand.p_HB[digit]))
                 if bone:
-                    row[digit, 2] = axes[digit, 2] @ (pip + (BEND_RATIO[digit] * dip if bone == 2 else 0.0))
-        return J.reshape(len(contacts), 15)
+                    arm = p - proximity.end[3 * digit]
+                    if bone == 2:
+                        arm = arm + BEND_RATIO[digit] * (p - proximity.end[3 * digit + 1])
+                    motion[digit, 2] = axes[digit, 2] @ _cross_matrix(sign * arm)
+        return J.reshape(len(contacts), 15, 3).transpose(0, 2, 1)
 
 
 class _Proximity(NamedTuple):
@@ -254,6 +268,13 @@ class _Proximity(NamedTuple):
     def pair_depths(self) -> np.ndarray:
         """Returns the deepest depth (..., 10), m, of each pair of digits."""
         return np.maximum.reduceat(self.depth, _PAIR_BOUNDS[:-1], axis=-1)
+
+    def apart(self, contacts: Sequence[int]) -> np.ndarray:
+        """Returns vectors (n, 3), m, from the second to the first capsule's closest point, of some pairs."""
+        first, second = _FIRST[contacts], _SECOND[contacts]
+        p_first = self.start[first] + self.s[contacts, None] * (self.end[first] - self.start[first])
+        p_second = self.start[second] + self.t[contacts, None] * (self.end[second] - self.start[second])
+        return p_first - p_second
 
     def touching(self) -> np.ndarray:
         """Returns which digits (5,) touch another one."""
