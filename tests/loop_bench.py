@@ -21,7 +21,7 @@ from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.wrist_checks import WristChecks
+from geort_drake.systems.wrist_to_arm import WristChecks
 
 
 class LoopBench:

@@ -172,10 +172,10 @@ def test_an_onnx_policy_runs(tmp_path):
     path.write_bytes(IDENTITY)
     policy = load_policy(path, 2)
     np.testing.assert_allclose(policy(np.array([1.0, 2, 3, 4]), np.array([0.1, 0.2])), [0.1, 0.2])
-    with pytest.raises(PolicyError, match="a call with a hand state"):
+    with pytest.raises(PolicyError, match="with a hand state"):
         load_policy(path, 3)
     path.write_bytes(b"no model")
-    with pytest.raises(PolicyError, match="not an ONNX model"):
+    with pytest.raises(PolicyError, match=r"policy\.onnx: cannot be called"):
         load_policy(path, 2)
 
 
@@ -189,7 +189,7 @@ def test_policies_that_cannot_be_run_are_refused(tmp_path, monkeypatch):
     onnx = tmp_path / "policy.onnx"
     onnx.write_bytes(IDENTITY)
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    with pytest.raises(PolicyError, match="needs the package onnxruntime"):
+    with pytest.raises(ModuleNotFoundError, match="onnxruntime"):
         load_policy(onnx, 2)
 
 

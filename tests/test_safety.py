@@ -16,7 +16,7 @@ from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
 from geort_drake.systems import glove_checks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import EASING, LIMITED, OUTSIDE, SETTLING, TRACKING
-from geort_drake.systems.wrist_checks import WRIST_JUMPED, WRIST_NOT_FINITE
+from geort_drake.systems.wrist_to_arm import WRIST_JUMPED, WRIST_NOT_FINITE
 
 PLAY = play()
 AT_ONCE = glove_checks.GloveChecks(ease_at_start=False)

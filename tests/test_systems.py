@@ -10,12 +10,12 @@ from system_bench import SystemBench
 from geort_drake import GloveReplay, Recording, RetargetingSystem
 from geort_drake.errors import HandError, RecordingError
 from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
-from geort_drake.systems.clutch import Clutch
 from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.retargeting_system import TRACKING
+from geort_drake.systems.wrist_to_arm import Clutch
 
 JOINTS = ("thumb_a", "thumb_b", "index_a")
 

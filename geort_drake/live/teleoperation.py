@@ -20,8 +20,7 @@ from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import HELD_LOST, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.retargeting_system import RetargetingSystem
-from geort_drake.systems.wrist_checks import WristChecks
-from geort_drake.systems.wrist_to_arm import WristToArm
+from geort_drake.systems.wrist_to_arm import WristChecks, WristToArm
 
 # Shown in place of HELD_LOST when late frames are the reason.
 HELD_LATE = "held: the glove's frames come late"

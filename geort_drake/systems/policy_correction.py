@@ -1,11 +1,9 @@
 """Corrects commands by a user's policy, a TorchScript or ONNX model."""
 
-import importlib
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -106,45 +104,43 @@ class PolicyCorrection(PeriodicCorrection):
 
 
 def load_policy(path: str | os.PathLike, num_joints: int) -> Policy:
-    """Loads a policy from a TorchScript file (.pt, .pts) or an ONNX model (.onnx).
+    """Loads a policy from a TorchScript file (.pt, .pts) or an ONNX model (.onnx), and calls it once.
 
     The model takes two float32 tensors, the hand's state (1, 2n), positions then velocities, and the
     commanded positions (1, n). It returns the positions to command (1, n). Units are rad and rad/s.
     TorchScript files are programs: run only trusted ones.
 
     Raises:
-        PolicyError: the file is missing, of another kind or malformed; the package that runs it is not
-            installed; or a trial call fails or returns another shape.
+        PolicyError: the file is missing or of another kind, or the call fails or returns another shape.
+        ModuleNotFoundError: the package torch or onnxruntime is not installed.
     """
     path = Path(path)
-    if not path.is_file():
-        raise PolicyError(f"{path}: no such policy file")
     loaders = {".pt": _torchscript, ".pts": _torchscript, ".onnx": _onnx}
     if path.suffix not in loaders:
         raise PolicyError(f"{path}: a policy's file name ends with one of {', '.join(loaders)}")
-    run = loaders[path.suffix](path)
+    try:
+        run = loaders[path.suffix](path)
+        shape = run(np.zeros((1, 2 * num_joints), np.float32), np.zeros((1, num_joints), np.float32)).shape
+    except ModuleNotFoundError:
+        raise
+    except Exception as error:  # torch and onnxruntime raise many types
+        raise PolicyError(
+            f"{path}: cannot be called with a hand state (1, {2 * num_joints}) and a target "
+            f"(1, {num_joints}): {error}"
+        ) from error
+    if shape != (1, num_joints):
+        raise PolicyError(f"{path}: the policy must return (1, {num_joints}), it returns {shape}")
 
     def policy(hand_state: np.ndarray, target: np.ndarray) -> np.ndarray:
         return run(hand_state[None].astype(np.float32), target[None].astype(np.float32))[0].astype(float)
 
-    try:
-        shape = run(np.zeros((1, 2 * num_joints), np.float32), np.zeros((1, num_joints), np.float32)).shape
-    except Exception as error:  # torch and onnxruntime raise many types
-        raise PolicyError(
-            f"{path}: a call with a hand state (1, {2 * num_joints}) and a target (1, {num_joints}) fails: "
-            f"{error}"
-        ) from error
-    if shape != (1, num_joints):
-        raise PolicyError(f"{path}: the policy must return (1, {num_joints}), it returns {shape}")
     return policy
 
 
-def _torchscript(path: Path) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    torch = _package("torch", path)
-    try:
-        module = torch.jit.load(str(path), map_location="cpu").eval()
-    except (RuntimeError, ValueError) as error:
-        raise PolicyError(f"{path}: not a TorchScript file: {error}") from error
+def _torchscript(path: Path) -> Policy:
+    import torch
+
+    module = torch.jit.load(str(path), map_location="cpu").eval()
 
     def run(hand_state: np.ndarray, target: np.ndarray) -> np.ndarray:
         with torch.inference_mode():
@@ -153,30 +149,11 @@ def _torchscript(path: Path) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return run
 
 
-def _onnx(path: Path) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    onnxruntime = _package("onnxruntime", path)
+def _onnx(path: Path) -> Policy:
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1  # waking more threads takes longer than a small network
-    try:
-        session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions have no other common base
-        raise PolicyError(f"{path}: not an ONNX model: {error}") from error
-    names = [item.name for item in session.get_inputs()]
-    if len(names) != 2:
-        raise PolicyError(
-            f"{path}: the policy must have two inputs, hand state and target; it has: {', '.join(names)}"
-        )
-
-    def run(hand_state: np.ndarray, target: np.ndarray) -> np.ndarray:
-        return session.run(None, dict(zip(names, (hand_state, target), strict=True)))[0]
-
-    return run
-
-
-def _package(name: str, path: Path) -> ModuleType:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise PolicyError(
-            f"{path}: running this policy needs the package {name}: pip install {name}"
-        ) from error
+    session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    state, target = (each.name for each in session.get_inputs())
+    return lambda *tensors: session.run(None, dict(zip((state, target), tensors, strict=True)))[0]

@@ -66,7 +66,7 @@ class SelfCollisionGuard(PeriodicCorrection):
         super().__init__(actuated_joints, initial_positions, limits, period)
         CorrectionConfig("guard", clearance).validate()
         self._hand_clearance, self._clearance = HandClearance(hand, clearance, actuated_joints), clearance
-        self._reach, self._zeros = limits.speed * period, np.zeros(len(actuated_joints))
+        self._reach = limits.speed * period
         if (near := self._hand_clearance.near(self._q_start)).pairs:
             closest = int(near.gap.argmin())
             first, second = map(hand.link_of, near.pairs[closest])
@@ -79,11 +79,11 @@ class SelfCollisionGuard(PeriodicCorrection):
 
     def guarded(self, command: np.ndarray, clear: np.ndarray) -> np.ndarray:
         """Returns clear positions near `command`, within one step of `clear`; (n,) rad, actuator order."""
-        if command.dot(self._zeros) != 0.0:  # zero times NaN or infinity is NaN
+        if not np.isfinite(command).all():
             return clear
         low = np.maximum(self._limits.lower, clear - self._reach)
         high = np.minimum(self._limits.upper, clear + self._reach)
-        target = np.minimum(np.maximum(command, low), high)
+        target = np.clip(command, low, high)
         q, conflict = target, self._hand_clearance.near(target, _PAIRS)
         if not conflict.pairs:
             return q
@@ -92,7 +92,7 @@ class SelfCollisionGuard(PeriodicCorrection):
             change = _smallest_change(J, openings, low - target, high - target)
             if change is None:
                 break
-            q = np.minimum(np.maximum(target + change, low), high)
+            q = np.clip(target + change, low, high)
             near = self._hand_clearance.near(q, _PAIRS)
             if not near.pairs:
                 return q
