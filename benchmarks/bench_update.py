@@ -18,8 +18,11 @@ from side_by_side import measure, parse, parser, report
 from untrained import FINGERS, add_retargeter_options, untrained
 
 from geort_drake.console import run_main
+from geort_drake.hands.description import load_hand
+from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
+from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
 PERIOD = 0.01
@@ -33,8 +36,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     hands = synthesize_play(seed=0, duration_s=60.0, rate_hz=1 / PERIOD).p_HK.astype(float)
     keypoints = [FINGERS[name] for name in retarget.finger_names]
     retarget.trained_space = TrainedSpace(trained_points(hands[:, keypoints]), keypoints)
+    robot = HandModel(load_hand("allegro_right"))
     start = dict(zip(retarget.joint_names, retarget(hands[0]), strict=True))
-    system = RetargetingSystem(retarget, retarget.joint_names, retarget.joint_names, start, PERIOD)
+    limits = JointLimits(retarget.lower, retarget.upper)
+    system = RetargetingSystem(
+        retarget, robot.plant, robot.instance, initial_positions=start, period=PERIOD, limits=limits
+    )
     frames = itertools.cycle(list(hands))
     functions = {
         "call": lambda: retarget(next(frames)),

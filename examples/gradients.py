@@ -27,7 +27,8 @@ def RetargetingMap_(T):
         def calc(self, context, output):
             p_HF = self.get_input_port().Eval(context)
             if T is AutoDiffXd:
-                q, J = self.retarget.value_and_jacobian(ExtractValue(p_HF).reshape(-1, 3))
+                value = ExtractValue(p_HF).reshape(-1, 3)
+                q, J = self.retarget(value), self.retarget.jacobian(value)
                 gradient = J.reshape(len(q), -1) @ ExtractGradient(p_HF)
                 output.SetFromVector(InitializeAutoDiff(q, gradient).ravel())
             else:

@@ -25,11 +25,8 @@ plant.Finalize()
 
 # The glove's keypoints become joint targets, in the plant's actuator order.
 retarget = load_retargeter("allegro_right")
-actuated = [plant.get_joint_actuator(i).joint().name() for i in plant.GetJointActuatorIndices(model)]
 replay = builder.AddSystem(GloveReplay(synthesize_play(seed=1, duration_s=5.0)))
-retargeting = builder.AddSystem(
-    RetargetingSystem(retarget, retarget.joint_names, actuated, hand.default_positions)
-)
+retargeting = builder.AddSystem(RetargetingSystem(retarget, plant, model))
 builder.Connect(replay.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
 builder.Connect(replay.GetOutputPort("valid"), retargeting.GetInputPort("valid"))
 builder.Connect(retargeting.GetOutputPort("desired_state"), plant.get_desired_state_input_port(model))

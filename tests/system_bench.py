@@ -1,11 +1,14 @@
 """Steps a system or a diagram alone, and checks its commands."""
 
 import copy
+from functools import cache
 from typing import Any
 
 import numpy as np
 from faults.sound import JOINTS, LOWER, UPPER, smooth_retargeter
 from pydrake.common.value import AbstractValue
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex, RevoluteJoint, SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import PortDataType, System
 
@@ -42,6 +45,19 @@ class SystemBench:
 START = 0.3  # rad, of every joint
 
 
+@cache
+def joint_plant(joint_names: tuple[str, ...]) -> tuple[MultibodyPlant, ModelInstanceIndex]:
+    """A plant of one model, whose actuators move joints of these names, in this order."""
+    plant = MultibodyPlant(0.01)
+    model = plant.AddModelInstance("hand")
+    for name in joint_names:
+        link = plant.AddRigidBody(name, model, SpatialInertia.SolidBoxWithMass(1.0, 0.1, 0.1, 0.1))
+        joint = RevoluteJoint(name, plant.world_frame(), link.body_frame(), [0, 0, 1], -2.0, 2.0)
+        plant.AddJointActuator(name, plant.AddJoint(joint))
+    plant.Finalize()
+    return plant, model
+
+
 class Bench(SystemBench):
     """Steps a `RetargetingSystem` update by update; functions without joint names have `JOINTS`."""
 
@@ -50,9 +66,11 @@ class Bench(SystemBench):
         retarget = retarget or smooth_retargeter()
         joints = tuple(getattr(retarget, "joint_names", JOINTS))
         start = dict(zip(joints, start + np.zeros(len(joints)), strict=True))
-        super().__init__(
-            RetargetingSystem(retarget, joints, joints, start, period, self.limits, **options), period
-        )
+        system = RetargetingSystem(
+            retarget, *joint_plant(joints), joint_names=joints, initial_positions=start, period=period,
+            limits=self.limits, **options,
+        )  # fmt: skip
+        super().__init__(system, period)
         self.stamped = stamped
 
     def tick(self, keypoints, valid=1.0, stamp=None):

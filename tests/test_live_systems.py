@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from live_messages import Clock, Inbox, nodes_of, own_fields
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from system_bench import SystemBench, Watch
+from system_bench import SystemBench, Watch, joint_plant
 
 from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import LiveError, MismatchError, RecordingError
@@ -244,7 +244,14 @@ def test_engaging_never_makes_the_joints_jump():
     glove = builder.AddSystem(stream.stream)
     switch = builder.AddSystem(EngageSwitch())
     retargeting = builder.AddSystem(
-        RetargetingSystem(retarget, names, names, dict.fromkeys(names, 0.3), PERIOD, limits)
+        RetargetingSystem(
+            retarget,
+            *joint_plant(tuple(names)),
+            joint_names=names,
+            initial_positions=dict.fromkeys(names, 0.3),
+            period=PERIOD,
+            limits=limits,
+        )
     )
     builder.Connect(glove.GetOutputPort("valid"), switch.GetInputPort("valid"))
     builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))

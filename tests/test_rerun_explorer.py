@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from rerun_world import entities, read, rerun
 
-from geort_drake import Recording, load_retargeter
-from geort_drake.comparison import metrics
+from geort_drake import Recording
 from geort_drake.comparison.exploration import (
     excerpt,
     find_pinches,
-    follow,
     motion_cosines,
     proportional_copy,
     response,
@@ -93,21 +91,3 @@ def test_the_recording_shows_what_the_methods_answer(tmp_path, allegro, play):
     assert any(entity.startswith("/world/fist/allegro_right") for entity in entities(path))
     _, text = read(path, "/about", "TextDocument:text")
     assert "| pinches closed | " in text[0][0]
-
-
-def test_a_map_for_everyone_is_shown_while_it_follows_the_person(tmp_path, allegro, play, monkeypatch):
-    """Places grow in number and reach from the first hand on; joint angles are those of the map so far."""
-    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 5_000)
-    hands, universal = excerpt(play, rate_hz=30.0, duration_s=6.0), load_retargeter("allegro_right")
-    adaptation = follow(universal, allegro, hands)
-    assert adaptation.rows[0] == 0 and len(adaptation.rows) > 3
-    np.testing.assert_allclose(adaptation.q[0], universal(hands.p_HK[0]), atol=1e-9)
-    assert (np.diff([len(places) for places in adaptation.human]) > 0).all()
-    assert adaptation.coverage[-1] > 2 * adaptation.coverage[0]
-    path, methods = tmp_path / "explorer.rrd", {"mine": response(lambda _: adaptation.q, allegro, hands)}
-    write_exploration(path, allegro, hands, methods, {"recording_sha256": play.digest}, {"mine": adaptation})
-    assert rerun("rrd", "verify", path).returncode == 0
-    for entity, expected in (("human", adaptation.human), ("mine", adaptation.robot)):
-        times, places = read(path, f"/world/{entity}/places", "Points3D:positions")
-        np.testing.assert_allclose(times, hands.t[adaptation.rows], atol=1e-9)
-        np.testing.assert_allclose(places[-1], expected[-1], atol=1e-6)

@@ -5,7 +5,7 @@ import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from system_bench import SystemBench
+from system_bench import SystemBench, joint_plant
 
 from geort_drake import GloveReplay, Recording, RetargetingSystem
 from geort_drake.errors import HandError, RecordingError
@@ -64,10 +64,12 @@ def test_recording_a_replay_gives_the_recording_back():
 
 
 def retargeting_bench(retarget, latency=0.0, **timing) -> SystemBench:
-    start, plant_order = dict.fromkeys(JOINTS, 0.0), ("index_a", "thumb_a", "thumb_b")
+    plant = joint_plant(("index_a", "thumb_a", "thumb_b"))
     limits = JointLimits(np.full(3, -2.0), np.full(3, 2.0), 1e9, 1e12)
     checks = GloveChecks(settle_time=0.0, ease_time=0.0, ease_at_start=False)
-    system = RetargetingSystem(retarget, JOINTS, plant_order, start, 0.01, limits, latency, checks=checks)
+    system = RetargetingSystem(
+        retarget, *plant, joint_names=JOINTS, limits=limits, latency=latency, checks=checks
+    )
     bench = SystemBench(system, **timing)
     bench.fix(valid=1.0)
     return bench
@@ -122,19 +124,41 @@ def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, u
 
 
 def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them():
-    """A joint without an initial position starts at 0."""
-    twice, start, limits = (*JOINTS, JOINTS[0]), dict.fromkeys(JOINTS, 0.5), JointLimits([0] * 3, [0.4] * 3)
-    for given, message in (
-        ((JOINTS, ("index_a", "thumb_a", "ring_a"), {}), r"thumb_b.*ring_a"),
-        ((JOINTS, JOINTS, start), r"'thumb_a' must be within \[0, 0.4\] rad; given: 0.5"),
-        ((JOINTS, twice, {}), r"different joints"),
-        ((twice, twice, {}), r"a joint is given twice"),
-        ((JOINTS[:2], JOINTS[:2], {}), r"shape \(3,\), but 2 joints"),
+    """Lists of joints in place of a plant are refused; a joint without an initial position starts at 0."""
+    start, limits = dict.fromkeys(JOINTS, 0.5), JointLimits([0] * 3, [0.4] * 3)
+    for joints, names, options, message in (
+        (("index_a", "thumb_a", "ring_a"), JOINTS, {}, r"thumb_b.*ring_a"),
+        (
+            JOINTS,
+            JOINTS,
+            {"initial_positions": start},
+            r"'thumb_a' must be within \[0, 0.4\] rad",
+        ),
+        (JOINTS, (*JOINTS, JOINTS[0]), {}, r"different joints"),
+        (JOINTS, None, {}, r"give `joint_names`"),
+        (JOINTS[:2], JOINTS[:2], {}, r"shape \(3,\), but 2 joints"),
     ):
         with pytest.raises(HandError, match=message):
-            RetargetingSystem(first_three, *given, limits=limits)
-    bench = SystemBench(RetargetingSystem(first_three, JOINTS, JOINTS, {"index_a": 0.2}, limits=limits))
-    np.testing.assert_array_equal(bench.value("desired_state"), [0, 0, 0.2, 0, 0, 0])
+            RetargetingSystem(first_three, *joint_plant(joints), joint_names=names, limits=limits, **options)
+    with pytest.raises(TypeError):
+        RetargetingSystem(first_three, JOINTS, JOINTS, {})
+    system = RetargetingSystem(
+        first_three, *joint_plant(JOINTS), joint_names=JOINTS, initial_positions={"index_a": 0.2}
+    )
+    np.testing.assert_array_equal(SystemBench(system).value("desired_state"), [0, 0, 0.2, 0, 0, 0])
+
+
+def test_retargeting_takes_limits_and_start_from_the_plant_and_an_unconnected_glove_for_tracked():
+    """Without `valid`, good keypoints are followed."""
+    system = RetargetingSystem(
+        first_three, *joint_plant(JOINTS), joint_names=JOINTS, checks=GloveChecks(settle_time=0.0)
+    )
+    bench = SystemBench(system)
+    for _ in range(200):
+        bench.fix(keypoints=np.full(63, 0.25) + 1e-6 * bench.ticks)
+        bench.advance()
+    assert bench.value("status").state == TRACKING
+    np.testing.assert_allclose(bench.value("desired_state")[:3], 0.25, atol=1e-3)
     with pytest.raises(HandError, match=r"lower \(3,\), upper \(2,\)"):
         JointLimits(np.zeros(3), np.ones(2))
 

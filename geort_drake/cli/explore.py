@@ -14,7 +14,7 @@ EPILOG = """\
 {methods}
 The recording shows the human hand, the robot hand with each method, the losses over time, closed and missed
 pinches, and collisions. Methods that need training are trained on the whole recording and cached. The
-universal map adapts to the person from the first frame shown.
+universal map is measured from the recording's first second.
 """
 
 
@@ -34,12 +34,12 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand
-    from geort_drake.comparison.exploration import excerpt, follow, response
+    from geort_drake.comparison.exploration import excerpt, response
     from geort_drake.comparison.explorer_recording import write_exploration
+    from geort_drake.comparison.metrics import adapted
     from geort_drake.comparison.train import training_recording
     from geort_drake.console import track
     from geort_drake.methods import names_of, resolve
-    from geort_drake.retargeting.retargeter import UniversalRetargeter
 
     if not 0.1 <= arguments.duration <= 600:
         raise UsageError(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")
@@ -48,14 +48,10 @@ def run(arguments: argparse.Namespace) -> int:
     names = names_of(arguments.methods, hand=hand)
     recording = training_recording(arguments.recording, description.side, arguments.seed)
     hands = excerpt(recording, duration_s=arguments.duration, start_s=arguments.start)
-    methods, adaptations = {}, {}
+    methods = {}
     for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):
         retarget, _ = resolve(method, hand, recording, arguments.seed)
-        if isinstance(retarget, UniversalRetargeter):
-            adaptations[name] = follow(retarget, hand, hands)
-            methods[name] = response(lambda _, name=name: adaptations[name].q, hand, hands)
-        else:
-            methods[name] = response(retarget, hand, hands)
+        methods[name] = response(adapted(retarget, recording), hand, hands)
     properties = {
         "hand": description.name,
         "methods": ", ".join(methods),
@@ -64,6 +60,6 @@ def run(arguments: argparse.Namespace) -> int:
         "start_s": hands.metadata["start_s"],
         "seed": arguments.seed,
     }
-    write_exploration(arguments.output, hand, hands, methods, properties, adaptations)
+    write_exploration(arguments.output, hand, hands, methods, properties)
     finish({"Recording": arguments.output}, view(arguments.output))
     return 0

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geort_drake.colours import SKIN, Color, finger_colors
-from geort_drake.comparison.exploration import Adaptation, Pinches, Response, find_pinches
+from geort_drake.comparison.exploration import Pinches, Response, find_pinches
 from geort_drake.hands.model import HandModel
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
@@ -22,7 +22,6 @@ APPLICATION = "geort_drake_explorer"
 _SPACING = 0.26  # m, between neighbouring hands
 _LABEL_HEIGHT = 0.235  # m
 _HUMAN_TIP_RADIUS = 0.0085  # m
-_DOT_RADIUS = 0.0012  # m
 _PINCH_LANE = "asked_pinch"
 # Colours of the methods in the plots; no finger or mark has them.
 _COLORS: tuple[Color, ...] = ((240, 228, 66), (178, 132, 255), (213, 94, 0), (0, 220, 200), (190, 190, 190))
@@ -31,10 +30,6 @@ _IDLE: Color = (58, 62, 71)
 _STATES = ("–", "closed", "open", "collides")
 _STATE_COLORS: tuple[Color, ...] = (_IDLE, (44, 160, 44), (230, 120, 20), (214, 39, 40))
 
-_ADAPTATION = """\
-- **Small dots**: positions that the fingertips have visited, and those to which {names} maps them. The map
-  learns the person's reach from them, so the robot's dots spread as well.
-"""
 _TEXT = """\
 Left: the **recorded hand**. Next to it: the robot hand with each method, which gets only the fingertips.
 
@@ -48,7 +43,7 @@ Left: the **recorded hand**. Next to it: the robot hand with each method, which 
   red if they do not.
 - **Red spheres**: parts of the hand penetrate each other by over 2 mm.
 - **Lines** in the plots have the colour of the name above the hand.
-{adaptation}"""
+"""
 
 
 def write_exploration(
@@ -57,7 +52,6 @@ def write_exploration(
     hands: Recording,
     methods: Mapping[str, Response],
     properties: Mapping[str, Property],
-    adaptations: Mapping[str, Adaptation] | None = None,
 ) -> None:
     """Writes the explorer's recording.
 
@@ -66,7 +60,6 @@ def write_exploration(
         hands: `excerpt` of the person's recording.
         methods: name of each method → its outputs.
         properties: properties of the recording.
-        adaptations: name of each universal map among the methods → its adaptation to the person.
     """
     p_HK = hands.p_HK.astype(float)
     p_HK = mirrored(p_HK) if hand.description.side == "left" else p_HK
@@ -76,10 +69,10 @@ def write_exploration(
         path,
         application_id=APPLICATION,
         recording_id=f"explorer-{properties['recording_sha256']}-{hands.metadata['start_s']:g}-{'-'.join(methods)}",
-        blueprint=views.blueprint(_layout(list(methods), bool(adaptations))),
+        blueprint=views.blueprint(_layout(list(methods))),
         properties=properties,
     ) as writer:
-        writer.text("/about", _text(hands, methods, pinches, list(adaptations or ())))
+        writer.text("/about", _text(hands, methods, pinches))
         writer.at(hands.t)
         _write_human(writer, hand, p_HK, tips, pinches)
         for number, (color, (name, response)) in enumerate(
@@ -99,17 +92,6 @@ def write_exploration(
             for key, values in curves.items():
                 writer.series(entity_path(key, name), [name], values[:, None], [color])
         _write_lanes(writer, hand, methods, pinches)
-        for name, adaptation in (adaptations or {}).items():
-            _write_adaptation(writer.at(hands.t[adaptation.rows]), name, hand, adaptation)
-
-
-def _write_adaptation(writer: Writer, name: str, hand: HandModel, adaptation: Adaptation) -> None:
-    palette = np.array(finger_colors(hand.finger_names))
-    colors = [palette[finger] for finger in adaptation.finger]
-    human = [mirrored(p) if hand.description.side == "left" else p for p in adaptation.human]
-    writer.points(entity_path(WORLD, "human", "places"), human, _DOT_RADIUS, colors)
-    writer.points(entity_path(WORLD, name, "places"), adaptation.robot, _DOT_RADIUS, colors)
-    writer.series(entity_path("coverage", name), [name], adaptation.coverage[:, None], [_COPY_COLOR])
 
 
 def _write_human(
@@ -155,7 +137,7 @@ def _write_lanes(writer: Writer, hand: HandModel, methods: Mapping[str, Response
         writer.states(entity_path(name), codes, _STATES, _STATE_COLORS)
 
 
-def _layout(methods: Sequence[str], adapting: bool) -> views.View:
+def _layout(methods: Sequence[str]) -> views.View:
     middle = np.array([0.0, _SPACING * len(methods) / 2, 0.115])
     distance = max(0.42, 0.08 + 0.62 * _SPACING * (len(methods) + 1))
     eye = middle + np.array([distance, 0.0, 0.2 * distance])
@@ -170,15 +152,12 @@ def _layout(methods: Sequence[str], adapting: bool) -> views.View:
         views.time_series("fingertips against a proportional copy [mm]", ["/error/**"]),
         views.time_series("direction of motion kept (cosine)", ["/motion/**"]),
         views.time_series("nearest thumb and finger [mm]", ["/gap/**"]),
-        *([views.time_series("C-space coverage so far", ["/coverage/**"])] if adapting else []),
-        row_shares=[2.3, 1.2, 1.0, 1.0] + [1.0] * adapting,
+        row_shares=[2.3, 1.2, 1.0, 1.0],
     )
     return views.Horizontal(left, right, column_shares=[5, 3])
 
 
-def _text(
-    hands: Recording, methods: Mapping[str, Response], pinches: Pinches, adapting: Sequence[str]
-) -> str:
+def _text(hands: Recording, methods: Mapping[str, Response], pinches: Pinches) -> str:
     shown, pinched = methods.values(), pinches.closed
     table = {
         "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in shown],
@@ -188,7 +167,6 @@ def _text(
     }
     return _TEXT.format(
         seconds=hands.t[-1],
-        adaptation=_ADAPTATION.format(names=" and ".join(adapting)) if adapting else "",
         headings=" | ".join(methods),
         rule="---:|" * len(methods),
         rows="\n".join(f"| {title} | {' | '.join(values)} |" for title, values in table.items()),

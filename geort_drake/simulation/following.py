@@ -121,18 +121,19 @@ def add_fingers(
         raise HandError(f"the retargeter is for {known}, not for the robot hand {description.name}")
     settings, chosen, joints = scenario.retargeting, scenario.correction, model.hand.joints
     at_start = dict(zip(joints, start.tolist(), strict=True))
+    robot = model.diagram.plant()
     retargeting = builder.AddNamedSystem(
         "retargeting",
         RetargetingSystem(
             retarget,
-            retarget.joint_names,  # type: ignore[attr-defined]
-            joints,
-            at_start,
-            settings.period,
-            model.limits,
-            latency,
-            checks,
-            settings.cutoff,
+            robot,
+            robot.GetModelInstanceByName(HAND),
+            initial_positions=at_start,
+            period=settings.period,
+            limits=model.limits,
+            latency=latency,
+            checks=checks,
+            cutoff=settings.cutoff,
         ),
     )
     moved = (joints, at_start, model.limits, settings.period)

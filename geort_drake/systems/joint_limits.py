@@ -5,35 +5,27 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.multibody.tree import Joint, ModelInstanceIndex
 
 from geort_drake.errors import HandError
-from geort_drake.retargeting.numpy_kinematics import MAX_ANGLE
 
+DEFAULT_SPEED = 7.0  # rad/s
 # rad/s²; reaches 7 rad/s from rest in one update at 100 Hz.
 DEFAULT_ACCELERATION = 700.0
-# rad/s and rad/s²; outside of this range squares may overflow, and no motor reaches it.
-_RATES = (1e-6, 1e12)
 
 
-def _speed_to_target(
-    q: np.ndarray,
-    v: np.ndarray,
-    target: np.ndarray,
-    target_before: np.ndarray,
-    period: float,
-    low: np.ndarray,
-    high: np.ndarray,
-    stop_factor: np.ndarray,
-) -> tuple[np.ndarray, bool]:
-    """Returns the speed (n,) to the target, and whether the results of `_fast_path_bounds` allow it.
+def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Joint]:
+    """Returns the actuated joints of a model, in the order of its actuators and ports.
 
-    A joint at v stops within v²/2a; if it stops inside the position limits, no later step has to leave them.
+    Raises:
+        HandError: the model has no actuators, or the plant is not finalized.
     """
-    speed = (target - q) / period
-    stop = target + speed * np.abs(speed) * stop_factor
-    values = np.concatenate((speed, speed - v, target_before - q, stop))
-    return speed, np.count_nonzero((low <= values) & (values <= high)) == values.size
+    indices = plant.GetJointActuatorIndices(model) if plant.is_finalized() else []
+    if not indices:
+        raise HandError(
+            f"the model '{plant.GetModelInstanceName(model)}' has no actuated joints in a finalized plant"
+        )
+    return [plant.get_joint_actuator(index).joint() for index in indices]
 
 
 @dc.dataclass(frozen=True)
@@ -41,48 +33,36 @@ class JointLimits:
     """Limits of position, speed and acceleration of n joints.
 
     Attributes:
-        lower, upper: (n,) positions, rad, within ±100.
+        lower, upper: (n,) positions, rad.
         speed: (n,) rad/s, or a number for all joints.
         acceleration: (n,) rad/s², or a number for all joints.
 
     Raises:
-        HandError: a limit is not finite or out of range, a lower limit is not below the upper one, or
-            the shapes do not fit.
+        HandError: a limit is not finite, a lower limit is not below the upper one, a speed or acceleration is
+            not positive, or the shapes do not fit.
     """
 
     lower: np.ndarray
     upper: np.ndarray
-    speed: np.ndarray | float = 7.0
+    speed: np.ndarray | float = DEFAULT_SPEED
     acceleration: np.ndarray | float = DEFAULT_ACCELERATION
-    # Results of `_fast_path_bounds` by period.
-    _bounds: dict[float, tuple[np.ndarray, ...]] = dc.field(
-        init=False, repr=False, compare=False, default_factory=dict
-    )
 
     def __post_init__(self) -> None:
-        names = ("lower", "upper", "speed", "acceleration")
-        given = [np.asarray(getattr(self, name), dtype=float) for name in names]
+        limits = {field.name: np.asarray(getattr(self, field.name), float) for field in dc.fields(self)}
         try:
-            values = np.broadcast_arrays(*given)
+            arrays = np.broadcast_arrays(*limits.values())
         except ValueError:
-            shapes = ", ".join(f"{name} {value.shape}" for name, value in zip(names, given, strict=True))
+            shapes = ", ".join(f"{name} {value.shape}" for name, value in limits.items())
             raise HandError(f"joint limits: the shapes do not fit: {shapes}") from None
-        for name, value in zip(names, values, strict=True):
+        for name, value in zip(limits, arrays, strict=True):
+            if not np.isfinite(value).all():
+                raise HandError(f"joint limits: {name} must be finite; given: {value}")
             object.__setattr__(self, name, value.copy())
-        for name in ("lower", "upper"):
-            if not (np.abs(value := getattr(self, name)) <= MAX_ANGLE).all():
-                raise HandError(
-                    f"joint limits: {name} must be finite and within ±{MAX_ANGLE:g} rad; given: {value}"
-                )
         if not (self.lower < self.upper).all():
             raise HandError(f"joint limits: lower must be below upper; given: {self.lower} and {self.upper}")
         for name in ("speed", "acceleration"):
-            value = getattr(self, name)
-            if not ((_RATES[0] <= value) & (value <= _RATES[1])).all():
-                raise HandError(
-                    f"joint limits: {name} must be positive and finite, from {_RATES[0]:g} to {_RATES[1]:g}; "
-                    f"given: {value}"
-                )
+            if not (getattr(self, name) > 0).all():
+                raise HandError(f"joint limits: {name} must be positive; given: {getattr(self, name)}")
 
     @classmethod
     def of_plant(
@@ -93,12 +73,11 @@ class JointLimits:
         acceleration: float = DEFAULT_ACCELERATION,
     ) -> "JointLimits":
         """Returns the limits of a model's actuated joints, in actuator order; at most `speed`, rad/s."""
-        joints = [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
-        speeds = np.array([joint.velocity_upper_limit() for joint in joints])
+        joints = actuated_joints(plant, model)
         return cls(
             np.array([joint.position_lower_limit() for joint in joints]),
             np.array([joint.position_upper_limit() for joint in joints]),
-            np.minimum(speeds, speed),
+            np.minimum([joint.velocity_upper_limit() for joint in joints], speed),
             acceleration,
         )
 
@@ -110,11 +89,8 @@ class JointLimits:
             joints: n names, in the order of the limits.
 
         Raises:
-            HandError: a joint is given twice, the limits are of another number of joints, or a position is
-                outside them.
+            HandError: the limits are of another number of joints, or a position is outside them.
         """
-        if len(set(joints)) < len(joints):
-            raise HandError(f"a joint is given twice: {', '.join(joints)}")
         if self.lower.shape != (len(joints),):
             raise HandError(f"joint limits: shape {self.lower.shape}, but {len(joints)} joints")
         q = np.array([positions.get(name, 0.0) for name in joints], dtype=float)
@@ -147,34 +123,31 @@ class JointLimits:
             period: s.
             share: usable fraction of the speed limit; a faster joint slows down.
         """
-        # Fast path: a target within all limits is reached.
-        bounds = self._fast_path_bounds(period)
-        speed, within = _speed_to_target(q, v, target, target_before, period, *bounds)
-        if within and share == 1.0:
-            return target, speed
-        gain, lag = self.acceleration * period, target_before - q  # largest change of speed
+        gain, lag = self.acceleration * period, target_before - q  # gain: largest change of speed
+        if share == 1.0:
+            # A target within all limits is reached. A joint at v stops within v²/2a; if it stops inside the
+            # position limits, no later step has to leave them.
+            v_target = (target - q) / period
+            stop = target + v_target * np.abs(v_target) * (0.5 / self.acceleration)
+            room = [
+                self.speed - np.abs(v_target),
+                gain - np.abs(v_target - v),
+                gain * period - np.abs(lag),
+                stop - self.lower,
+                self.upper - stop,
+            ]
+            if np.min(room) >= 0.0:
+                return target, v_target
         distance = np.array([np.abs(lag), self.upper - q, q - self.lower])
         to_target, to_upper, to_lower = self._braking_speed(distance, period)
-        speed = np.minimum(np.maximum((target - target_before) / period, -self.speed), self.speed)
+        speed = np.clip((target - target_before) / period, -self.speed, self.speed)
         speed += np.copysign(to_target, lag)
         top_speed = np.maximum(share * self.speed, np.abs(v) - gain)
         high = np.minimum(np.minimum(v + gain, top_speed), to_upper)
         low = np.maximum(np.maximum(v - gain, -top_speed), -to_lower)
         v = np.minimum(np.maximum(speed, low), high)
         # Clipped again because of rounding.
-        return np.minimum(np.maximum(q + v * period, self.lower), self.upper), v
-
-    def _fast_path_bounds(self, period: float) -> tuple[np.ndarray, ...]:
-        """Returns bounds (4n,) of speed, its change, lag and stopping position, low and high; and 1/2a (n,).
-
-        Cached, because computing them takes as long as a step.
-        """
-        if period not in self._bounds:
-            gain = self.acceleration * period
-            most = np.concatenate([self.speed, gain, gain * period])
-            low, high = np.concatenate([-most, self.lower]), np.concatenate([most, self.upper])
-            self._bounds[period] = (low, high, np.divide(0.5, self.acceleration))
-        return self._bounds[period]
+        return np.clip(q + v * period, self.lower, self.upper), v
 
     def _braking_speed(self, distance: np.ndarray, period: float) -> np.ndarray:
         """Returns the highest speed from which a joint stops within `distance` (..., n), next step included.
