@@ -1,11 +1,13 @@
 """Messages, warnings and progress bars on stderr, in the same style for commands and library."""
 
 import contextlib
+import errno
 import logging
 import re
 import signal
 import sys
 import threading
+import traceback
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
@@ -157,11 +159,15 @@ def track(
             update(done + 1, total, note(item))
 
 
-def exit_code_of(function: Callable[[], int | None]) -> int:
+# Errors of the operating system that a user can correct, whichever file they concern.
+_CORRECTABLE = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
+
+
+def exit_code_of(function: Callable[[], int | None], debug: bool = False) -> int:
     """Runs a program and returns its exit code: its own result, 2 for an error that the user can correct.
 
-    Warnings and errors are printed on stderr without traceback. SIGTERM interrupts like Ctrl-C, so that
-    temporary files are removed.
+    Warnings and errors are printed on stderr without traceback; `debug` adds it. SIGTERM interrupts like
+    Ctrl-C, so that temporary files are removed. An OSError that names no file is ours, and is raised.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)
@@ -172,6 +178,10 @@ def exit_code_of(function: Callable[[], int | None]) -> int:
             warnings.showwarning = lambda message, *_, **__: warn(message)
             return function() or 0
     except (GeortError, OSError) as error:
+        if isinstance(error, OSError) and error.filename is None and error.errno not in _CORRECTABLE:
+            raise
+        if debug:
+            traceback.print_exc()
         _print_labelled("error", "red", error)
         return 2
     except ModuleNotFoundError as error:

@@ -1,39 +1,57 @@
-"""The command `geort-drake` and its subcommands, one module each.
+"""The command `geort-drake` and its subcommands.
 
-A subcommand's module has a docstring whose first line is its summary, `add_arguments(parser)`,
-`run(arguments)`, which returns the exit code, and optionally `EPILOG`, the text below its options. It imports
-NumPy, Drake, PyTorch and Rerun inside `run`, so that `--help` answers at once.
+A subcommand is a dataclass in one of this package's modules, which tyro reads: see `base.Command`. Its module
+imports NumPy, Drake, PyTorch and Rerun inside `run`, so that `--help` answers at once.
 """
 
+import contextlib
+import difflib
 import importlib
+import inspect
+import os
 import sys
+import textwrap
 from collections.abc import Sequence
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from geort_drake.cli.options import CommandParser
+    from geort_drake.cli.base import Command
 
-# In the order of `geort-drake --help`.
-COMMANDS = (
-    "grasp",
-    "train",
-    "pretrain",
-    "refit",
-    "evaluate",
-    "explore",
-    "benchmark",
-    "add-hand",
-    "check-recording",
-    "convert",
-    "synthesize",
-    "capture",
-    "live",
-    "publish",
-    "stand-in-robot",
-    "export",
-)
+# Purpose → command → its module and class, in the order of `geort-drake --help`.
+GROUPS: dict[str, dict[str, str]] = {
+    "try and drive": {
+        "grasp": "grasp",
+        "live": "live",
+        "live publish": "publish",
+        "live stand-in-robot": "stand_in_robot",
+    },
+    "record": {
+        "recording check": "check_recording",
+        "recording convert": "convert",
+        "recording synthesize": "synthesize",
+        "recording capture": "capture",
+    },
+    "train": {"train": "train", "pretrain": "pretrain", "refit": "refit"},
+    "compare": {"evaluate": "evaluate", "explore": "explore", "benchmark": "benchmark"},
+    "hands and data": {
+        "hand add": "hand:AddHand",
+        "hand list": "hand:ListHands",
+        "export": "export",
+    },
+}
+COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
+# Earlier names, until pages and tests have the new ones.
+_EARLIER = {
+    "add-hand": "hand add",
+    "check-recording": "recording check",
+    "convert": "recording convert",
+    "synthesize": "recording synthesize",
+    "capture": "recording capture",
+    "publish": "live publish",
+    "stand-in-robot": "live stand-in-robot",
+}
 _USAGE = "usage: geort-drake COMMAND ...\n       geort-drake COMMAND --help\n       geort-drake --version\n"
+_HELP = {"-h", "--help"}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,33 +61,63 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 success, 1 partial success, 2 invalid input, 130 interrupted.
     """
     try:
-        return _run(argv)
+        return _run(list(sys.argv[1:] if argv is None else argv))
     except KeyboardInterrupt:  # while modules are imported; later `exit_code_of` handles it
         print("interrupted", file=sys.stderr)
         return 130
 
 
-def _run(argv: Sequence[str] | None) -> int:
-    arguments = list(sys.argv[1:] if argv is None else argv)
-    first = arguments[0] if arguments else "--help"
-    if first in ("-h", "--help"):
+def _run(words: list[str]) -> int:
+    if words[:1] == ["help"]:
+        words = [*words[1:], "--help"]
+    if not words or words[0] in _HELP:
+        name = " ".join(word for word in words if word not in _HELP)
+        if name in COMMANDS:
+            return run_command(name, ["--help"])
         print(_overview())
         return 0
-    if first == "--version":
+    if words[0] == "--version":
         from geort_drake import __version__
 
         print(__version__)
         return 0
-    if first not in COMMANDS:
-        print(
-            f"{_USAGE}error: unknown command '{first}'; choose one of: {', '.join(COMMANDS)}", file=sys.stderr
-        )
-        return 2
-    if {"-h", "--help"} & {*arguments}:
-        return run_command(first, arguments[1:])  # prints the help and exits
+    command, rest = _split(words)
+    if command is None:
+        return _refuse(words, rest)
+    if _HELP & {*rest}:
+        return run_command(command, rest)  # prints the help and exits
     from geort_drake.console import exit_code_of
 
-    return exit_code_of(lambda: run_command(first, arguments[1:]))
+    return exit_code_of(lambda: run_command(command, rest), debug="--debug" in rest)
+
+
+def _split(words: Sequence[str]) -> tuple[str | None, list[str]]:
+    """Separates the name of a command, of one or two words, from its arguments."""
+    for count in (2, 1):
+        name = " ".join(words[:count])
+        name = _EARLIER.get(name, name)
+        if name in COMMANDS:
+            return name, list(words[count:])
+    return None, list(words)
+
+
+def _refuse(words: Sequence[str], rest: Sequence[str]) -> int:
+    """Names the commands that an unknown one may stand for, and returns the exit code."""
+    within = [name for name in COMMANDS if name.startswith(f"{words[0]} ")]
+    if within and len(words) > 1 and not words[1].startswith("-"):
+        near = difflib.get_close_matches(" ".join(words[:2]), within, 1, 0.5)
+    elif within:
+        if _HELP & {*rest}:
+            print(_overview(within))
+            return 0
+        near = []
+    else:
+        near = difflib.get_close_matches(words[0], COMMANDS, 1, 0.5)
+    choices = within or list(COMMANDS)
+    hint = f"did you mean '{near[0]}'?" if near else f"choose one of: {', '.join(choices)}"
+    named = " ".join(words[:2] if within and len(words) > 1 else words[:1])
+    print(f"{_USAGE}error: unknown command '{named}'; {hint}", file=sys.stderr)
+    return 2
 
 
 def run_command(name: str, argv: Sequence[str]) -> int:
@@ -79,15 +127,33 @@ def run_command(name: str, argv: Sequence[str]) -> int:
         GeortError: the input is invalid; `main` prints the message and returns exit code 2.
         SystemExit: the arguments cannot be parsed, or request help.
     """
-    arguments = parser_of(name).parse_args(argv)
+    name = _EARLIER.get(name, name)
+    options = parse(name, argv)
     from geort_drake.console import console
 
-    console.quiet = arguments.quiet
-    return load_command(name).run(arguments)
+    console.quiet = options.quiet
+    return options.run() if ":" in COMMANDS[name] else load_command(name).run(options)
 
 
-def parser_of(name: str) -> "CommandParser":
-    """Returns the argument parser of a subcommand."""
+def parse(name: str, argv: Sequence[str]) -> "Command":
+    """Reads the arguments of a subcommand; raises SystemExit if they are wrong or request help."""
+    if ":" not in COMMANDS[name]:
+        return parser_of(name).parse_args(argv)
+    import tyro
+
+    command = load_command(name)
+    # Shells leave a ~ behind an equals sign, as in --output=~/run.
+    parts = [word.partition("=") for word in argv]
+    words = [option + equals + os.path.expanduser(value) for option, equals, value in parts]
+    config = (tyro.conf.FlagCreatePairsOff,)
+    return tyro.cli(
+        command, prog=f"geort-drake {name}", args=words, config=config, description=description_of(name)
+    )
+
+
+def parser_of(name: str) -> Any:
+    """Returns the argparse parser of a subcommand that is not a dataclass yet."""
+    name = _EARLIER.get(name, name)
     from geort_drake.cli.options import CommandParser
 
     command = load_command(name)
@@ -96,19 +162,39 @@ def parser_of(name: str) -> "CommandParser":
     return parser
 
 
-def load_command(name: str) -> ModuleType:
-    """Imports the module of a subcommand."""
-    return importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
+def load_command(name: str) -> Any:
+    """Imports a subcommand."""
+    module, _, attribute = COMMANDS[name].partition(":")
+    loaded = importlib.import_module(f"{__name__}.{module}")
+    return getattr(loaded, attribute) if attribute else loaded
 
 
-def _overview() -> str:
-    lines = [f"  {name:16} {(load_command(name).__doc__ or '').splitlines()[0]}" for name in COMMANDS]
-    return "\n".join(
-        [
-            _USAGE,
-            "Retarget a human hand to a robot hand, and test the result in a Drake simulation.",
-            "",
-            "commands:",
-            *lines,
-        ]
-    )
+def description_of(name: str) -> str:
+    """Returns the help text of a subcommand, without its options."""
+    command = load_command(name)
+    paragraphs = (inspect.getdoc(command) or "").split("\n\n")
+    if epilog := getattr(command, "epilog", None):
+        paragraphs.append(epilog())
+    return "\n\n".join(text if "\n  " in f"\n{text}" else textwrap.fill(text, 88) for text in paragraphs)
+
+
+def help_of(name: str) -> str:
+    """Returns the whole help of a subcommand."""
+    import io
+
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        parse(name, ["--help"])
+    return text.getvalue()
+
+
+def _overview(names: Sequence[str] = ()) -> str:
+    lines = [_USAGE, "Retarget a human hand to a robot hand, and judge the result in a Drake simulation."]
+    for purpose, group in GROUPS.items():
+        shown = {name for name in group if not names or name in names}
+        if shown:
+            lines += ["", f"{purpose}:"]
+            lines += [
+                f"  {name:22} {description_of(name).splitlines()[0]}" for name in group if name in shown
+            ]
+    return "\n".join(lines)
