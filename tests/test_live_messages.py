@@ -1,6 +1,7 @@
 """Messages between glove, loop and robot, their transports, and the whole loop in processes over loopback."""
 
 import contextlib
+import dataclasses
 import json
 import os
 import random
@@ -14,13 +15,17 @@ import numpy as np
 import pytest
 from drake import lcmt_allegro_command, lcmt_panda_command
 from faults.sound import checkpoint
-from live_messages import manus_glove, manus_words, nodes_of, own_fields
+from live_messages import Clock, manus_glove, manus_words, nodes_of, own_fields
 from pydrake.lcm import DrakeLcm
+from system_bench import SystemBench
 
-from geort_drake import synthesize_play
-from geort_drake.errors import HandError, LiveError, MismatchError
-from geort_drake.live.devices import ALLEGRO, PANDA, JointGroup, JointStatus, LcmInbox
+from geort_drake import load_hand, synthesize_play
+from geort_drake.errors import LiveError, MismatchError
+from geort_drake.live import joint_messages
+from geort_drake.live.driver import JointDriver
+from geort_drake.live.joint_messages import JointState, JointTargets, decode_state, decode_targets
 from geort_drake.live.messages import MAX_BYTES, GloveFrame, decode, encode_frame
+from geort_drake.live.robot_buses import ALLEGRO, PANDA, ZmqBus, open_stand_in_bus
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import (
     LOCAL_LCM,
@@ -31,6 +36,7 @@ from geort_drake.live.transports import (
     split_address,
     wait_for,
 )
+from geort_drake.simulation.following import JointGroup
 
 # s; a busy machine takes long to start three programs. Without a fault nothing waits so long.
 PATIENCE_S = 300.0
@@ -159,12 +165,12 @@ def test_commands_have_the_fields_that_drivers_expect():
 def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refused(device):
     """In Drake's messages; cut off, of another size, not finite, or with a wrong length inside."""
     n = len(device.joints)
-    sent = JointStatus(np.arange(n) / 7, -np.arange(n) / 3, np.arange(n) / 9)
-    status, command = device.encode_status(1.0, sent), device.encode_command(1.0, sent.position)
-    np.testing.assert_array_equal(device.decode_command(command), sent.position)
-    got = device.decode_status(status)
-    for name in ("position", "velocity", "commanded"):
-        np.testing.assert_array_equal(getattr(got, name), getattr(sent, name))
+    q, v = np.arange(n) / 7, -np.arange(n) / 3
+    status, command = device.encode_status(1.0, q, v), device.encode_command(1.0, q)
+    np.testing.assert_array_equal(device.decode_command(command).position, q)
+    state = device.decode_status(status)
+    np.testing.assert_array_equal([state.position, state.velocity], [q, v])
+    assert state.names == device.joints and state.time == 1.0
     sizes = struct.pack(">i", n)
     for decode_it, good in ((device.decode_status, status), (device.decode_command, command)):
         for bad in (
@@ -179,15 +185,45 @@ def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refuse
     for bad in (np.inf, np.nan):
         with pytest.raises(LiveError, match=r"joint_position must be .* finite numbers"):
             device.decode_command(device.encode_command(1.0, np.full(n, bad)))
-
-
-def test_a_hand_of_other_joints_is_refused():
-    """By the number in its status, and by the names in the model."""
-    twelve = JointStatus(*np.zeros((3, 12)))
     with pytest.raises(LiveError, match="Is this the hand that the robot has"):
-        ALLEGRO.decode_status(ALLEGRO.encode_status(0.0, twelve))
-    with pytest.raises(HandError, match="the model's hand has thumb"):
-        ALLEGRO.model_order(JointGroup("hand", ["thumb"], np.zeros(1), np.zeros(1), np.ones(1)))
+        device.decode_status(device.encode_status(0.0, np.zeros(n + 1), np.zeros(n + 1)))
+
+
+TARGETS = JointTargets(7, 12.5, ["a", "b"], np.array([0.1, 1 / 3]), np.array([-1.0, 2.0]), True, 0.1)
+STATE = JointState(8, 1.5, ["a", "b"], np.array([0.1, 1 / 3]), np.array([0.0, 2.0]), "")
+
+
+def test_joint_messages_arrive_to_the_last_bit():
+    for sent, decode_it in ((TARGETS, decode_targets), (STATE, decode_state)):
+        got = decode_it(joint_messages.encode(sent))
+        for field in dataclasses.fields(sent):
+            np.testing.assert_array_equal(getattr(got, field.name), getattr(sent, field.name))
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        joint_messages.encode(dataclasses.replace(STATE, position=np.array([np.nan, 0.0])))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"version": 2}, "version must be 1, not 2"),
+        ({"format": "geort_drake.glove"}, "format must be 'geort_drake.joint_targets'"),
+        ({"position": [0.1]}, "position must be 2 numbers"),
+        ({"position": [0.1, "x"]}, "position must be finite, not 'x'"),
+        ({"velocity": [0.1, True]}, "velocity must be finite, not True"),
+        ({"names": ["a", "a"]}, "a name occurs twice"),
+        ({"names": "ab"}, "names must be a list"),
+        ({"engaged": 1}, "engaged must be true or false"),
+        ({"hold_after": None}, "hold_after must be finite"),
+        ({"more": 1}, "differs in more"),
+    ],
+)
+def test_malformed_joint_targets_are_refused_with_their_field(change, expected):
+    message = json.dumps(json.loads(joint_messages.encode(TARGETS)) | change).encode()
+    with pytest.raises(LiveError, match=expected):
+        decode_targets(message)
+    for bad in (b"{", b"[]", b"\xff", b" " * MAX_BYTES + message, b'{"a":' * 10_000):
+        with pytest.raises(LiveError, match="joint targets"):
+            decode_targets(bad)
 
 
 @pytest.mark.parametrize(
@@ -296,55 +332,42 @@ def wait_for_text(folder: Path, name: str, text: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_loop_runs_over_loopback(station, tmp_path, lcm_url):
+@pytest.mark.parametrize("robot", ["zmq", "lcm"])
+def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
     """A robot follows a glove; the glove dies, the hand relaxes; Ctrl-C leaves the robot held."""
-    inbox = LcmInbox(
-        DrakeLcm(lcm_url), {device.status_channel: device.decode_status for device in (ALLEGRO, PANDA)}
-    )
-
-    def statuses(count: int) -> list[JointStatus]:
-        """The hand's next statuses."""
-
-        def poll():
-            inbox.newest.clear()
-            inbox.fetch()
-            return inbox.newest.get(ALLEGRO.status_channel)
-
-        inbox.fetch()
-        return [wait_for(poll, PATIENCE_S, lambda: "the robot fell silent") for _ in range(count)]
-
+    address = f"zmq+ipc://{tmp_path}/robot"
+    if robot == "lcm":
+        address = f"lcm+{request.getfixturevalue('lcm_url')}"
     glove = f"ipc://{tmp_path}/glove"
+    commands = open_stand_in_bus(address, load_hand("allegro_right"))  # hears what the stand-in hears
+    first: dict[str, float] = {}
+
+    def moved() -> bool | None:
+        for targets in commands.fetch():
+            for name, q in zip(targets.names, targets.position.tolist(), strict=True):
+                if abs(q - first.setdefault(name, q)) > 0.1:
+                    return True
+        return None
+
     with (
-        program(tmp_path, "stand-in-robot", "--lcm", f"lcm+{lcm_url}"),
+        program(tmp_path, "stand-in-robot", "--robot", address),
         program(
             tmp_path, "publish", str(station / "hand.npz"), "--to", f"pub+{glove}", "--loop"
         ) as publisher,
         program(
-            tmp_path, "live", "--glove", f"sub+{glove}", "--robot", f"lcm+{lcm_url}",
+            tmp_path, "live", "--glove", f"sub+{glove}", "--robot", address,
             "--retargeter", str(station / "checkpoint"), "--engage", "now", "--relax-after", "0.5",
             "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json"
         ) as teleoperation
     ):  # fmt: skip
         wait_for_text(tmp_path, "live", "tracking")
-        first = statuses(1)[0].commanded
-
-        def moved() -> bool | None:
-            return np.abs(statuses(1)[0].commanded - first).max() > 0.1 or None
-
-        # A busy machine plays the glove slowly: wait for the motion, not for a number of messages.
-        wait_for(moved, PATIENCE_S, lambda: "the robot does not move")
+        wait_for(moved, PATIENCE_S, lambda: "the robot is not moved")
         publisher.kill()
         wait_for_text(tmp_path, "live", "relaxing")
         teleoperation.send_signal(signal.SIGINT)
         assert teleoperation.wait(PATIENCE_S) == 0, (tmp_path / "live.log").read_text()
-        statuses(50)  # commands still on their way
-        held = statuses(100)
-
-    # The robot holds its last command to the last bit.
-    assert len({status.commanded.tobytes() for status in held}) == 1
-    assert np.isfinite([status.position for status in held]).all()
-    wait_for_text(tmp_path, "live", "disengaged: held")
     report = json.loads((tmp_path / "live.json").read_text())
+    assert report["states"]["disengaged: held"] > 0.4
     assert report["glove"]["received"] > 20
     assert report["glove"]["refused"] == report["robot"]["refused"] == 0
     assert report["delay_s"]["count"] > 10
@@ -378,37 +401,131 @@ def groups() -> tuple[JointGroup, JointGroup]:
     )
 
 
-def send_statuses(url: str, hand_position: np.ndarray) -> None:
-    """Reports once where hand and arm are."""
-    lcm = DrakeLcm(url)
-    for device, q in ((ALLEGRO, hand_position), (PANDA, np.zeros(7))):
-        lcm.Publish(device.status_channel, device.encode_status(0.0, JointStatus(q, 0 * q, q)))
+class Bus:
+    """A robot's bus into which a test puts states."""
+
+    def __init__(self, arm_is_required: bool = False):
+        self.arm_is_required, self.states, self.sent = arm_is_required, [], []
+        self.refused, self.last_refusal = 0, ""
+
+    def send(self, targets: JointTargets) -> None:
+        self.sent.append(targets)
+
+    def fetch(self) -> list[JointState]:
+        states, self.states = self.states, []
+        return states
+
+    def report(self, joints, q, fault: str = "") -> None:
+        self.states.append(JointState(1, 0.0, joints, np.array(q), np.zeros(len(joints)), fault))
 
 
-def test_the_handshake_reports_where_the_robot_stands(lcm_url):
+def test_the_handshake_reports_where_the_robot_stands():
     """In the model's order, within its limits; another robot or none is refused."""
-    q = np.linspace(-0.9, 1.05, 16)
-    link = RobotLink(lcm_url, *groups(), period=0.01)
-    with pytest.raises(LiveError, match="no robot: ALLEGRO_STATUS and PANDA_STATUS did not come"):
+    q, bus = np.linspace(-0.9, 1.05, 16), Bus(arm_is_required=True)
+    link = RobotLink(bus, *groups(), period=0.01)
+    with pytest.raises(LiveError, match="no state of joint_15, joint_14, joint_13, joint_12 and 19"):
         link.handshake(0.01)
-    send_statuses(lcm_url, q)
+    bus.report(ALLEGRO.joints, q)
+    bus.report(PANDA.joints, np.zeros(7))
     hand, arm = link.handshake(20.0)
     np.testing.assert_array_equal(hand, np.minimum(q, 1.0)[::-1])
     np.testing.assert_array_equal(arm, np.zeros(7))
-    another = RobotLink(lcm_url, *groups(), period=0.01)
-    send_statuses(lcm_url, 2 * q)
+    bus.report(ALLEGRO.joints, 2 * q)
     with pytest.raises(LiveError, match=r"joint_15 is at 2.100 rad, limits are \[-1.000, 1.000\]"):
-        another.handshake(20.0)
+        link.handshake(20.0)
+    other = Bus()
+    other.report(["finger_1"], [0.0])
+    other.refused, other.last_refusal = 3, "joint state: not JSON"
+    with pytest.raises(LiveError, match=r"that the model has not: finger_1; 3 messages were refused, the"):
+        RobotLink(other, *groups(), period=0.01).handshake(0.01)
 
 
-def test_a_robot_that_falls_silent_is_not_driven_on(lcm_url):
+def test_a_hand_without_an_arm_is_driven_alone():
+    """The arm stays where the model has it; joint targets are of the hand, by name, with a deadline."""
+    bus = Bus()
+    link = RobotLink(bus, *groups(), period=0.01)
+    bus.report(ALLEGRO.joints, np.zeros(16))
+    link.handshake(20.0)
+    bench = SystemBench(link, 0.01, 1.0)
+    q, v = np.linspace(0.0, 0.5, 16), np.linspace(1.0, 2.0, 16)
+    bench.fix(hand_desired_state=[*q, *v], arm_desired_state=np.zeros(14), engaged=1.0)
+    bench.advance()
+    targets = bus.sent[-1]
+    assert targets.names == [*ALLEGRO.joints[::-1]] and targets.engaged and targets.hold_after == 0.1
+    np.testing.assert_array_equal([targets.position, targets.velocity], [q, v])
+    np.testing.assert_array_equal(bench.value("arm_state"), 0.0)
+    bench.fix(engaged=0.0)
+    bench.advance()
+    assert not bus.sent[-1].engaged and bus.sent[-1].sequence == len(bus.sent)
+
+
+def test_a_robot_that_falls_silent_or_has_a_fault_is_not_driven_on():
     """It may be elsewhere when it answers again."""
-    now = [5.0]
-    link = RobotLink(lcm_url, *groups(), period=0.01, clock=lambda: now[0])
-    send_statuses(lcm_url, np.zeros(16))
+    now, bus = [5.0], Bus()
+    link = RobotLink(bus, *groups(), period=0.01, clock=lambda: now[0])
+    bus.report(ALLEGRO.joints, np.zeros(16))
     link.handshake(20.0)
     now[0] += 0.4
     link.require_alive(0.5)
     now[0] += 0.2
-    with pytest.raises(LiveError, match=r"no ALLEGRO_STATUS for 0\.6 s"):
+    with pytest.raises(LiveError, match=r"no state of joint_\d+ for 0\.6 s"):
         link.require_alive(0.5)
+    bus.report(ALLEGRO.joints, np.zeros(16), "motor 3 is hot")
+    link.handshake(20.0)
+    with pytest.raises(LiveError, match="reports a fault: motor 3 is hot"):
+        link.require_alive(0.5)
+
+
+class Robot:
+    """Sends joint targets to a driver on a clock that stands."""
+
+    def __init__(self, folder):
+        self.endpoint, self.clock = f"ipc://{folder}/robot", Clock(0.0)
+        self.bus, self.sequence = ZmqBus(self.endpoint), 0
+
+    def driver(self) -> JointDriver:
+        driver = JointDriver(
+            self.endpoint, ["a", "b"], np.zeros(2), -np.ones(2), np.ones(2), 2.0,
+            clock=self.clock, sleep=lambda seconds: setattr(self.clock, "now", self.clock.now + seconds),
+        )  # fmt: skip
+
+        def connected() -> bool | None:
+            self.send([0.0, 0.0])
+            driver.step(np.zeros(2))
+            return True if driver._newest is not None and self.bus.fetch() else None
+
+        wait_for(connected, 20.0, lambda: "not connected")
+        return driver
+
+    def send(self, q) -> None:
+        self.sequence += 1
+        self.bus.send(JointTargets(self.sequence, 0.0, ["a", "b"], np.array(q), np.zeros(2), True, 0.1))
+
+
+def step_after(driver: JointDriver, send) -> np.ndarray:
+    """A driver's step once a message has come; ZeroMQ drops what it cannot send at once."""
+
+    def came() -> bool | None:
+        send()
+        return True if driver._targets.poll(100) else None
+
+    wait_for(came, 20.0, lambda: "nothing came")
+    return driver.step(np.zeros(2))
+
+
+def test_a_driver_follows_at_its_speed_within_its_limits_and_holds_after_the_deadline(tmp_path):
+    robot = Robot(tmp_path)
+    driver = robot.driver()
+    path = []
+    for _ in range(70):
+        path.append(step_after(driver, lambda: robot.send([5.0, -0.5])))
+        assert not driver.holding
+    assert np.abs(np.diff(path, axis=0)).max() <= 2.0 * 0.01 + 1e-12
+    np.testing.assert_allclose(path[-1], [1.0, -0.5])
+    moved = step_after(driver, lambda: robot.send([-1.0, 1.0]))
+    steps = [(driver.step(np.zeros(2)), driver.holding) for _ in range(30)]
+    assert np.abs(steps[7][0] - moved).max() > 0.1 and not steps[7][1]
+    assert all(holding for _, holding in steps[11:])  # the deadline is 0.1 s
+    np.testing.assert_array_equal(steps[11][0], steps[29][0])
+    step_after(driver, lambda: robot.bus._sender.send(b"{}"))
+    assert driver.refused and "format must be" in driver.last_refusal

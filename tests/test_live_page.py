@@ -193,7 +193,7 @@ def test_a_headset_can_be_used_before_the_server_answers(headset, stub, address,
 def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
     page = headset(address, {"right": rng.uniform(-1, 1, (25, 3)).tolist()})
     page.wait_for_selector("body[data-state=tracking]")
-    stub.welcome(robot="lcm")
+    stub.welcome(robot="real")
     until(page, lambda: page.inner_text("#connection") == "Real robot")
     assert "fist" not in page.inner_text("#headline")
     for answer in ("cancel", "engage"):

@@ -106,7 +106,7 @@ def test_a_hand_of_the_other_side_is_refused_in_words():
 
 
 def test_a_real_robot_asks_twice():
-    operated = known(station("lcm"))
+    operated = known(station("real"))
     with pytest.raises(LiveError, match="once more"):
         operated.take(1, '{"type": "engage"}')
     assert not operated.commands
@@ -116,7 +116,7 @@ def test_a_real_robot_asks_twice():
         operated.take(1, '{"type": "reset"}')
 
 
-@pytest.mark.parametrize("robot", ["simulation", "lcm"])
+@pytest.mark.parametrize("robot", ["simulation", "real"])
 def test_a_held_fist_is_a_command(robot):
     """Once, after a second; an open hand is none, and for a real robot no fist is."""
     open_hand = next(p for p in PLAY.p_HK if not is_fist(p))

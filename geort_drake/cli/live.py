@@ -4,7 +4,8 @@ Without options, a page in the browser takes your hand from the camera or a head
 
 SOURCE is web, a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish`
 or a MANUS bridge that publishes), or pull+tcp://127.0.0.1:8000 (from a bridge that pushes).
-TARGET is simulation, lcm, or lcm+URL. On the page, or with Enter, you engage and disengage. Ctrl-C stops; the
+TARGET is simulation, zmq+tcp://127.0.0.1:5557 (joint targets of any hand, for a driver), lcm, or lcm+URL
+(an Allegro hand and a Panda arm). On the page, or with Enter, you engage and disengage. Ctrl-C stops; the
 robot holds its position. Messages over ZeroMQ and LCM are neither signed nor encrypted: whoever can send them
 moves the robot. The page asks for the key in its address.
 """
@@ -73,8 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
         summary_of,
     )
     from geort_drake.console import warn
-    from geort_drake.live.devices import require_hand_messages
     from geort_drake.live.glove_stream import GloveStream
+    from geort_drake.live.robot_buses import ROBOT_PATTERNS, open_bus
     from geort_drake.live.robot_link import RobotLink
     from geort_drake.live.robots import SimulatedRobot, open_meshcat
     from geort_drake.live.session import EnterKey, run_session, stopping
@@ -91,13 +92,13 @@ def run(arguments: argparse.Namespace) -> int:
     scenario = scenario_of(arguments)
     description = load_hand(scenario.hand)
     side, duration = description.side, arguments.duration
-    lcm_url = None if arguments.robot == "simulation" else split_address(arguments.robot, ["lcm"])[1]
-    if lcm_url:
-        require_hand_messages(description)
+    address = None if arguments.robot == "simulation" else arguments.robot
+    if address:
+        split_address(address, ROBOT_PATTERNS)
     if arguments.glove == "web":
         from geort_drake.cli.live_web import run_web
 
-        return run_web(arguments, scenario, description, lcm_url)
+        return run_web(arguments, scenario, description, address)
     receiver = None
     if is_address(arguments.glove):
         receiver = open_receiver(arguments.glove)
@@ -105,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         glove = GloveReplay(read_recording(arguments.glove, side))
         duration = min(duration, glove.duration)
-    _warn_of_open_addresses(arguments.glove if receiver else None, lcm_url)
+    _warn_of_open_addresses(arguments.glove if receiver else None, address)
 
     retarget = load(checkpoint_of(arguments, description), description, arguments.backend)
     model = RobotModel(scenario, description)
@@ -115,18 +116,20 @@ def run(arguments: argparse.Namespace) -> int:
         if parts.recovered:
             warn(f"an earlier session to {arguments.record} was interrupted; it is kept as {parts.recovered}")
         recorder = GloveRecorder(scenario.retargeting.period, parts)
+    link = None
+    if address:
+        bus = open_bus(address, description)
+        link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
     try:
         if receiver:
             glove.handshake(arguments.timeout)
-        link = None
-        if lcm_url is None:
+        if link is None:
             robot = SimulatedRobot(
                 scenario, description, model, open_meshcat() if arguments.meshcat else None
             )
             start = robot.hand.start, robot.arm.start
         else:
-            robot = link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period)
-            start = link.handshake(arguments.timeout)
+            robot, start = link, link.handshake(arguments.timeout)
         loop = make_teleoperation(
             scenario,
             description,
@@ -153,6 +156,8 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         if receiver:
             receiver.close()
+        if link:
+            link.bus.close()
         # Finishes the recording even if the session ended with an error.
         recorded = recorder is not None and recorder.finish()
     summary = summary_of(report, loop, link)
@@ -163,17 +168,20 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _warn_of_open_addresses(glove: str | None, lcm_url: str | None) -> None:
+def _warn_of_open_addresses(glove: str | None, robot: str | None) -> None:
     """Warns of addresses through which other machines can move the robot."""
     from geort_drake.console import warn
-    from geort_drake.live.transports import heard_from_outside, is_local
+    from geort_drake.live.transports import heard_from_outside, is_local, split_address
 
-    for address in (glove, lcm_url):
+    for address in (glove, robot):
         if address and not is_local(address):
             warn(f"{address} is open to the network; anyone in it can move the robot")
-    if lcm_url and is_local(lcm_url) and heard_from_outside(lcm_url):
-        group = lcm_url.removeprefix("udpm://").partition(":")[0]
+    if robot and robot.startswith("lcm") and is_local(robot):
+        url = split_address(robot, ["lcm"])[1]
+        if not heard_from_outside(url):
+            return
+        group = url.removeprefix("udpm://").partition(":")[0]
         warn(
-            f"{lcm_url} is also heard from the network: anyone in it can move the robot. To keep it to "
+            f"{url} is also heard from the network: anyone in it can move the robot. To keep it to "
             f"this machine: sudo ip link set lo multicast on && sudo ip route add {group} dev lo"
         )

@@ -57,7 +57,7 @@ def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | Non
         }
         summary["delay_s"] = meter.delay()
     if link:
-        summary["robot"] = {"refused": link.inbox.refused, "last_refusal": link.inbox.last_refusal or None}
+        summary["robot"] = {"refused": link.bus.refused, "last_refusal": link.bus.last_refusal or None}
     return summary
 
 

@@ -11,6 +11,7 @@ from geort_drake.console import console
 from geort_drake.errors import UsageError
 from geort_drake.files import require_writable
 from geort_drake.hands.description import HandDescription
+from geort_drake.live.robot_buses import open_bus
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
@@ -28,7 +29,7 @@ _RECORDINGS = Path("runs/live")
 
 
 def run_web(
-    arguments: argparse.Namespace, scenario: Scenario, description: HandDescription, lcm_url: str | None
+    arguments: argparse.Namespace, scenario: Scenario, description: HandDescription, address: str | None
 ) -> int:
     """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
     page = find_page()
@@ -36,23 +37,26 @@ def run_web(
         raise UsageError("--meshcat: the page shows the simulation")
     if arguments.record:
         require_writable(arguments.record, directory=True)
-    if lcm_url:
+    if address:
         _confirm_real_robot()
     checkpoint = checkpoint_of(arguments, description)
     model = RobotModel(scenario, description)
-    link = RobotLink(lcm_url, model.hand, model.arm, scenario.retargeting.period) if lcm_url else None
+    link = None
+    if address:
+        bus = open_bus(address, description)
+        link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
     words = f"map of {checkpoint.name}" if arguments.retargeter else "universal map"
     if arguments.retargeter is None and checkpoint.is_dir():
         words = "map trained on synthetic play"
     scenarios = {scenario.task: scenario}
     tasks: dict[str, list[str]] = {}
     instructions: dict[str, str] = {}
-    if lcm_url is None:
+    if address is None:
         for name in task_names():
             task = find_task(name)
             scenarios.setdefault(name, _like(scenario, task))
             tasks[name], instructions[name] = task.cases(), task.summary
-    robot = "lcm" if lcm_url else "simulation"
+    robot = "real" if address else "simulation"
     about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
     station = OperatorStation(about)
     with open_server(station, page, arguments.host, arguments.port, not arguments.no_open) as server:
@@ -110,4 +114,4 @@ def _confirm_real_robot() -> None:
     """
     console.print("A web page will move a real robot. Is its emergency stop within reach? Type yes:")
     if sys.stdin.readline().strip().lower() != "yes":
-        raise UsageError("--glove web --robot lcm needs the answer yes on the terminal")
+        raise UsageError("--glove web with a real robot needs the answer yes on the terminal")

@@ -1,161 +1,178 @@
-"""Connects a diagram to a robot on LCM."""
+"""Connects a diagram to a robot."""
 
-import dataclasses as dc
 import math
 import time
 from collections.abc import Callable
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValues, EventStatus, InputPort
+from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValues, EventStatus
 
 from geort_drake.errors import LiveError
-from geort_drake.live.devices import ALLEGRO, PANDA, Device, JointGroup, LcmInbox
 from geort_drake.live.glove_stream import POLL_PERIOD
-from geort_drake.live.transports import open_lcm, wait_for
+from geort_drake.live.joint_messages import JointTargets
+from geort_drake.live.robot_buses import RobotBus
+from geort_drake.live.transports import wait_for
 from geort_drake.live.watchdog import AFTER
+from geort_drake.simulation.following import JointGroup
 from geort_drake.systems.python_system import PythonSystem
 
 # Largest distance of a measured joint from its limits, rad; beyond it, the robot is not the model's.
 _TOLERANCE = 0.1
+# Number of periods without targets after which a driver holds.
+_HOLD_PERIODS = 10
 
 
 class RobotLink(PythonSystem):
-    """Sends joint positions to an Allegro hand and a Panda arm over LCM, and receives their joint states.
+    """Sends joint targets to a robot's driver and receives the robot's joint states, over any `RobotBus`.
 
-    The messages are Drake's `lcmt_allegro_*` and `lcmt_panda_*`. Statuses are read every `POLL_PERIOD`.
-    Commands are sent every `period`, as soon as they are computed.
+    States are read every `POLL_PERIOD`. Targets are sent every `period`, as soon as they are computed. A
+    robot without the model's arm is a hand alone: the arm stays in its initial position, and no targets are
+    sent for it.
 
     Input ports:
-        hand_desired_state (32), arm_desired_state (14): joint positions (rad), which are sent, then
-            velocities (rad/s), which are not, in the order of `hand` and `arm`.
+        hand_desired_state (2n), arm_desired_state (2m): joint positions (rad), then velocities (rad/s), in
+            the order of `hand` and `arm`.
+        engaged (1): 1 while the robot follows the person, 0 while it holds.
     Output ports:
-        hand_state (32), arm_state (14): measured positions (rad), then velocities (rad/s), in the same order.
-        hand_commanded (16): commanded positions that the hand reports, rad, in the order of `hand`.
-        All are NaN before the first status.
+        hand_state (2n), arm_state (2m): measured positions (rad), then velocities (rad/s), in the same order;
+            NaN before the first state.
 
-    State: the values of the output ports, and the arm's reported command (7).
+    State: the values of the output ports.
 
     Attributes:
-        inbox: newest statuses, and the number of statuses that could not be used.
+        bus: the bus, which counts what it refuses.
 
     Args:
-        url: URL of the LCM bus.
+        bus: where the driver listens.
         hand, arm: the model's joints.
-        period: time between commands, s.
+        period: time between targets, s.
         clock: monotonic clock, s.
-
-    Raises:
-        HandError: the model's joints are not those of an Allegro hand and a Panda.
-        LiveError: the URL is malformed.
     """
 
     def __init__(
         self,
-        url: str,
+        bus: RobotBus,
         hand: JointGroup,
         arm: JointGroup,
         period: float,
         clock: Callable[[], float] = time.monotonic,
     ):
         super().__init__()
-        self._lcm, self._clock = open_lcm(url), clock
-        self.inbox = LcmInbox(self._lcm, {d.status_channel: d.decode_status for d in (ALLEGRO, PANDA)}, clock)
-        self._parts = [self._declare_part(ALLEGRO, hand), self._declare_part(PANDA, arm)]
-        n = len(hand.joints)
-        self._declare_output("hand_commanded", self._parts[0].state, slice(2 * n, 3 * n))
+        self.bus, self._clock, self._hold_after = bus, clock, _HOLD_PERIODS * period
+        self._measured: dict[str, tuple[float, float]] = {}  # joint → position, velocity
+        self._arrived: dict[str, float] = {}
+        self._sequence, self._fault = 0, ""
+        self._groups = [hand, arm]
+        self._ports = [self._declare_group(group) for group in self._groups]
+        self._engaged = self.DeclareVectorInputPort("engaged", 1)
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, 0.0, self._update)
         self.DeclarePeriodicPublishEvent(period, 2 * AFTER, self._publish)
 
     def handshake(self, timeout_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Waits for the robot's first statuses and checks that they fit the model.
+        """Waits for the robot's first states and checks that they fit the model.
 
         Returns:
-            Positions of hand (16,) and arm (7,), rad, in the order of the ports, clamped to their limits.
+            Positions of hand (n,) and arm (m,), rad, in the order of the ports, clamped to their limits.
 
         Raises:
-            LiveError: no status came in time, or a joint is far outside its limits.
+            LiveError: no state of all joints came in time, or a joint is far outside its limits.
         """
 
         def poll() -> bool | None:
-            self.inbox.fetch()
-            return True if len(self.inbox.newest) == len(self._parts) else None
+            self._fetch()
+            return None if self._missing() else True
 
         wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
-        positions = []
-        for part in self._parts:
-            lower, upper = part.group.lower, part.group.upper
-            q = self.inbox.newest[part.device.status_channel].position[part.to_model]
-            clamped = np.clip(q, lower, upper)
-            worst = int(np.argmax(np.abs(q - clamped)))
-            if abs(q[worst] - clamped[worst]) > _TOLERANCE:
-                raise LiveError(
-                    f"{part.device.name}: {part.group.joints[worst]} is at {q[worst]:.3f} rad, limits are "
-                    f"[{lower[worst]:.3f}, {upper[worst]:.3f}]. Is this the hand that the robot has?"
-                )
-            positions.append(clamped)
-        return positions[0], positions[1]
+        self._groups = [group for group, _, _ in self._ports if self._has(group)]
+        return self._start(self._ports[0][0]), self._start(self._ports[1][0])
 
     def require_alive(self, silence_s: float) -> None:
-        """Raises LiveError if hand or arm has sent no usable status for `silence_s`, s."""
-        for device in (ALLEGRO, PANDA):
-            silent = self._clock() - self.inbox.arrived[device.status_channel]
-            if silent > silence_s:
+        """Raises LiveError if a joint's state has not come for `silence_s`, s, or the robot has a fault."""
+        if self._fault:
+            raise LiveError(f"the robot reports a fault: {self._fault}; commands have stopped")
+        for group in self._groups:
+            name = min(group.joints, key=lambda name: self._arrived[name])
+            if (silent := self._clock() - self._arrived[name]) > silence_s:
                 raise LiveError(
-                    f"{device.name}: no {device.status_channel} for {silent:.1f} s; commands have stopped, "
-                    f"because the robot may be elsewhere when it comes back{self._refusals()}"
+                    f"{group.name}: no state of {name} for {silent:.1f} s; commands have stopped, because "
+                    f"the robot may be elsewhere when it comes back{self._refusals()}"
                 )
+
+    def _has(self, group: JointGroup) -> bool:
+        return bool(group.joints) and all(name in self._measured for name in group.joints)
+
+    def _missing(self) -> list[str]:
+        """Returns the joints that have no state yet: those of the hand, and of an arm if there is one."""
+        hand, arm = (group for group, _, _ in self._ports)
+        there = any(name in self._measured for name in arm.joints)
+        wanted = [*hand.joints, *(arm.joints if there or self.bus.arm_is_required else [])]
+        return [name for name in wanted if name not in self._measured]
+
+    def _start(self, group: JointGroup) -> np.ndarray:
+        if group not in self._groups:
+            return group.start
+        q = np.array([self._measured[name][0] for name in group.joints])
+        clamped = np.clip(q, group.lower, group.upper)
+        worst = int(np.argmax(np.abs(q - clamped)))
+        if abs(q[worst] - clamped[worst]) > _TOLERANCE:
+            raise LiveError(
+                f"{group.name}: {group.joints[worst]} is at {q[worst]:.3f} rad, limits are "
+                f"[{group.lower[worst]:.3f}, {group.upper[worst]:.3f}]. Is this the hand that the robot has?"
+            )
+        return clamped
 
     def _silence(self, timeout_s: float) -> str:
-        channels = (part.device.status_channel for part in self._parts)
-        missing = " and ".join(channel for channel in channels if channel not in self.inbox.newest)
-        return f"no robot: {missing} did not come within {timeout_s:g} s{self._refusals()}"
+        missing = self._missing()
+        others = sorted({*self._measured} - {name for group, _, _ in self._ports for name in group.joints})
+        unknown = f"; it reports joints that the model has not: {', '.join(others)[:200]}" if others else ""
+        names = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
+        return f"no robot: no state of {names} within {timeout_s:g} s{unknown}{self._refusals()}"
 
     def _refusals(self) -> str:
-        if not self.inbox.refused:
+        if not self.bus.refused:
             return ""
-        return f"; {self.inbox.refused} messages were refused, the last: {self.inbox.last_refusal}"
+        return f"; {self.bus.refused} messages were refused, the last: {self.bus.last_refusal}"
 
-    def _declare_part(self, device: Device, group: JointGroup) -> "_Part":
-        n, to_model = len(group.joints), device.model_order(group)
+    def _declare_group(self, group: JointGroup) -> tuple[JointGroup, object, DiscreteStateIndex]:
+        n = len(group.joints)
         port = self.DeclareVectorInputPort(f"{group.name}_desired_state", 2 * n)
-        # Positions, velocities, commanded positions.
-        state = self.DeclareDiscreteState(np.full(3 * n, math.nan))
-        self._declare_output(f"{group.name}_state", state, slice(0, 2 * n))
-        return _Part(device, group, to_model, port, state)
-
-    def _declare_output(self, name: str, state: DiscreteStateIndex, values: slice) -> None:
+        state = self.DeclareDiscreteState(np.full(2 * n, math.nan))
         self.DeclareVectorOutputPort(
-            name,
-            values.stop - values.start,
-            lambda context, output: output.SetFromVector(context.get_discrete_state(state).value()[values]),
+            f"{group.name}_state",
+            2 * n,
+            lambda context, output: output.SetFromVector(context.get_discrete_state(state).value()),
             {self.discrete_state_ticket(state)},
         )
+        return group, port, state
+
+    def _fetch(self) -> None:
+        for state in self.bus.fetch():
+            for name, q, v in zip(state.names, state.position, state.velocity, strict=True):
+                self._measured[name], self._arrived[name] = (float(q), float(v)), self._clock()
+            self._fault = state.fault
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        self.inbox.fetch()
-        for part in self._parts:
-            if (status := self.inbox.newest.get(part.device.status_channel)) is not None:
-                values = (status.position, status.velocity, status.commanded)
-                discrete_state.get_mutable_vector(part.state).SetFromVector(
-                    np.concatenate([v[part.to_model] for v in values])
-                )
+        self._fetch()
+        for group, _, index in self._ports:
+            resting = [(q, 0.0) for q in group.start]
+            there = self._has(group)
+            values = [self._measured[name] for name in group.joints] if there else resting
+            if there or group not in self._groups:
+                discrete_state.get_mutable_vector(index).SetFromVector(np.ravel(np.transpose(values)))
         return EventStatus.Succeeded()
 
     def _publish(self, context: Context) -> EventStatus:
-        for part in self._parts:
-            q = part.desired.Eval(context)[: len(part.to_model)]
-            message = part.device.encode_command(self._clock(), q[np.argsort(part.to_model)])
-            self._lcm.Publish(part.device.command_channel, message)
+        names: list[str] = []
+        parts: list[np.ndarray] = []
+        for group, port, _ in self._ports:
+            if group in self._groups:
+                names += group.joints
+                parts.append(port.Eval(context).reshape(2, -1))  # type: ignore[attr-defined]
+        position, velocity = np.concatenate(parts, axis=1)
+        self._sequence += 1
+        engaged = bool(self._engaged.Eval(context)[0] >= 0.5)
+        self.bus.send(
+            JointTargets(self._sequence, self._clock(), names, position, velocity, engaged, self._hold_after)
+        )
         return EventStatus.Succeeded()
-
-
-@dc.dataclass(frozen=True, eq=False)
-class _Part:
-    """A device, the model's joints that it moves, and its port and state."""
-
-    device: Device
-    group: JointGroup
-    to_model: np.ndarray
-    desired: InputPort
-    state: DiscreteStateIndex

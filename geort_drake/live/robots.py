@@ -1,30 +1,24 @@
-"""Simulated robots: one inside the teleoperation diagram, and a stand-in for a real one behind LCM."""
+"""Simulated robots: one inside the teleoperation diagram, and a stand-in for a real one behind an address."""
 
 import time
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer
-from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import (
     BasicVector,
     Context,
     Diagram,
     DiagramBuilder,
+    DiscreteStateIndex,
     DiscreteValues,
     EventStatus,
 )
 
 from geort_drake.hands.description import HandDescription, load_hand
-from geort_drake.live.devices import (
-    ALLEGRO,
-    PANDA,
-    Device,
-    JointStatus,
-    LcmInbox,
-    require_hand_messages,
-)
 from geort_drake.live.glove_stream import POLL_PERIOD
-from geort_drake.live.transports import open_lcm
+from geort_drake.live.joint_messages import JointState
+from geort_drake.live.robot_buses import StandInBus, open_stand_in_bus
 from geort_drake.simulation.following import JointGroup, RobotModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
@@ -89,80 +83,81 @@ def open_meshcat() -> Meshcat:
 
 
 class JointServer(PythonSystem):
-    """Replaces a device's driver: follows the newest usable command and publishes the joints' state.
+    """Replaces a robot's driver: follows the newest joint targets and publishes the joints' state.
 
-    Commands hold positions only, so the desired velocities are zero and the joints lag.
+    It follows positions only, with desired velocities of zero, so the joints lag. Targets are clamped to the
+    limits. The robot holds its last command when no more come.
 
-    Input port:
-        state (2n): measured positions (rad), then velocities (rad/s), in the order of `group`.
-    Output port:
-        desired_state (2n): joint positions (rad), then velocities (rad/s), in the same order.
+    Input ports:
+        hand_state (2n), arm_state (2m): measured positions (rad), then velocities (rad/s), in the order of
+            `groups`.
+    Output ports:
+        hand_desired_state (2n), arm_desired_state (2m): joint positions (rad), then velocities (rad/s).
 
-    State: the commanded positions (n), rad; before the first command, the initial positions.
+    State: the commanded positions, rad; before the first command, the initial positions.
 
     Attributes:
-        inbox: the newest command; malformed or non-finite commands are refused.
+        bus: the bus, which counts what it refuses.
 
     Args:
-        device: device whose messages are used.
-        lcm: the bus.
-        group: the model's joints; commands are clamped to their limits.
-
-    Raises:
-        HandError: device and model have different joints.
+        bus: the driver's end of a bus.
+        groups: the joints of hand and arm.
     """
 
-    def __init__(self, device: Device, lcm: DrakeLcm, group: JointGroup):
+    def __init__(self, bus: StandInBus, groups: Sequence[JointGroup]):
         super().__init__()
-        self._device, self._lcm, self._group = device, lcm, group
-        self._to_model = device.model_order(group)
-        self.inbox = LcmInbox(lcm, {device.command_channel: device.decode_command})
-        n = len(group.joints)
-        self._measured = self.DeclareVectorInputPort("state", 2 * n)
-        self._commanded = self.DeclareDiscreteState(group.start)
-        ticket = {self.discrete_state_ticket(self._commanded)}
-        self.DeclareVectorOutputPort("desired_state", 2 * n, self._calc_desired, ticket)
+        self.bus, self._groups, self._sequence = bus, list(groups), 0
+        self._measured = [self.DeclareVectorInputPort(f"{g.name}_state", 2 * len(g.joints)) for g in groups]
+        self._commanded = [self.DeclareDiscreteState(group.start) for group in groups]
+        for group, index in zip(groups, self._commanded, strict=True):
+            self.DeclareVectorOutputPort(
+                f"{group.name}_desired_state",
+                2 * len(group.joints),
+                lambda context, output, index=index: self._calc_desired(context, output, index),
+                {self.discrete_state_ticket(index)},
+            )
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, 0.0, self._update)
         self.DeclarePeriodicPublishEvent(STATUS_PERIOD, 0.0, self._publish)
 
-    def _calc_desired(self, context: Context, output: BasicVector) -> None:
-        q = context.get_discrete_state(self._commanded).value()
+    def _calc_desired(self, context: Context, output: BasicVector, index: DiscreteStateIndex) -> None:
+        q = context.get_discrete_state(index).value()
         output.SetFromVector(np.concatenate([q, np.zeros_like(q)]))
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        self.inbox.fetch()
-        command = self.inbox.newest.get(self._device.command_channel)
-        if command is not None:
-            q = np.clip(command[self._to_model], self._group.lower, self._group.upper)
-            discrete_state.get_mutable_vector(self._commanded).SetFromVector(q)
+        wanted: dict[str, float] = {}
+        for targets in self.bus.fetch():
+            wanted |= dict(zip(targets.names, targets.position.tolist(), strict=True))
+        for group, index in zip(self._groups, self._commanded, strict=True):
+            q = context.get_discrete_state(index).value()
+            q = np.array([wanted.get(name, float(old)) for name, old in zip(group.joints, q, strict=True)])
+            discrete_state.get_mutable_vector(index).SetFromVector(np.clip(q, group.lower, group.upper))
         return EventStatus.Succeeded()
 
     def _publish(self, context: Context) -> EventStatus:
-        position, velocity = np.split(self._measured.Eval(context), 2)
-        parts = (position, velocity, context.get_discrete_state(self._commanded).value())
-        status = JointStatus(*(part[np.argsort(self._to_model)] for part in parts))
-        self._lcm.Publish(self._device.status_channel, self._device.encode_status(time.monotonic(), status))
+        q, v = np.concatenate([port.Eval(context).reshape(2, -1) for port in self._measured], axis=1)
+        names = [name for group in self._groups for name in group.joints]
+        self._sequence += 1
+        self.bus.send(JointState(self._sequence, time.monotonic(), names, q, v))
         return EventStatus.Succeeded()
 
 
-def make_stand_in(scenario: Scenario, url: str, meshcat: Meshcat | None = None) -> Diagram:
-    """Builds a diagram that simulates the scenario's robot behind LCM; run it in real time.
+def make_stand_in(scenario: Scenario, address: str, meshcat: Meshcat | None = None) -> Diagram:
+    """Builds a diagram that simulates the scenario's robot behind an address; run it in real time.
 
     Raises:
-        ScenarioError, HandError: scenario and models do not fit, or are not an Allegro hand and a Panda arm.
-        LiveError: the URL is malformed.
+        ScenarioError, HandError: scenario and models do not fit, or the hand has no LCM messages.
+        LiveError: the address is malformed.
     """
     description = load_hand(scenario.hand)
-    require_hand_messages(description)
     builder = DiagramBuilder()
     simulated = SimulatedRobot(scenario, description, RobotModel(scenario, description), meshcat)
     robot = builder.AddNamedSystem("robot", simulated.diagram)
-    for device, group in ((ALLEGRO, simulated.hand), (PANDA, simulated.arm)):
-        server = builder.AddNamedSystem(f"{group.name}_server", JointServer(device, open_lcm(url), group))
-        builder.Connect(robot.GetOutputPort(f"{group.name}_state"), server.GetInputPort("state"))
-        builder.Connect(
-            server.GetOutputPort("desired_state"), robot.GetInputPort(f"{group.name}_desired_state")
-        )
+    groups = (simulated.hand, simulated.arm)
+    server = builder.AddNamedSystem("server", JointServer(open_stand_in_bus(address, description), groups))
+    for group in groups:
+        state, desired = f"{group.name}_state", f"{group.name}_desired_state"
+        builder.Connect(robot.GetOutputPort(state), server.GetInputPort(state))
+        builder.Connect(server.GetOutputPort(desired), robot.GetInputPort(desired))
     diagram = builder.Build()
     diagram.set_name("stand_in_robot")
     return diagram

@@ -162,6 +162,8 @@ def make_teleoperation(
     builder.Connect(wrist_checks.GetOutputPort("valid"), wrist_to_arm.GetInputPort("valid"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), robot.GetInputPort("arm_desired_state"))
 
+    if robot.HasInputPort("engaged"):
+        builder.ConnectInput("engaged", robot.GetInputPort("engaged"))
     meter = None
     if glove.HasOutputPort("sent"):
         meter = builder.AddNamedSystem("delay_meter", DelayMeter(len(safe_pose), retargeting.period))

@@ -2,6 +2,7 @@
 
     sub+tcp://HOST:PORT     ZeroMQ, subscribes to a publisher, whose address is pub+tcp://…
     pull+tcp://HOST:PORT    ZeroMQ, pulls from a pusher, as most MANUS bridges are: push+tcp://…
+    zmq+tcp://HOST:PORT     joint targets for a robot, whose states come at PORT + 1
     lcm                     LCM on `LOCAL_LCM`, whose messages do not leave this machine
     lcm+URL                 LCM on that URL, udpm://GROUP:PORT?ttl=N
 
@@ -13,7 +14,7 @@ import ipaddress
 import re
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,7 +27,7 @@ from geort_drake.live.messages import MAX_BYTES
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
 
 _RECEIVERS, _SENDERS = ("sub", "pull"), ("pub", "push")
-_FORMS = {"lcm": "lcm, lcm+udpm://GROUP:PORT?ttl=N"}
+_FORMS = {"lcm": "lcm, lcm+udpm://GROUP:PORT?ttl=N", "zmq": "simulation, zmq+tcp://HOST:PORT"}
 _ROUTES = Path("/proc/net/route")
 _ROUTE_IS_UP = 1  # flag in that table
 
@@ -141,6 +142,36 @@ def open_lcm(url: str) -> DrakeLcm:
     return DrakeLcm(url)
 
 
+class Inbox:
+    """Collects the usable messages of several LCM channels.
+
+    Attributes:
+        refused, last_refusal: number of messages that could not be used, and why the last could not.
+
+    Args:
+        lcm: the bus.
+        decoders: channel → function that decodes its messages or raises LiveError.
+    """
+
+    def __init__(self, lcm: DrakeLcm, decoders: Mapping[str, Callable[[bytes], Any]]):
+        self._lcm, self._messages = lcm, list[Any]()
+        self.refused, self.last_refusal = 0, ""
+        for channel, decode in decoders.items():
+            lcm.Subscribe(channel, lambda message, d=decode: self._receive(d, message))
+
+    def fetch(self) -> list[Any]:
+        """Returns the messages since the last call. LCM keeps only one per channel, so call this often."""
+        self._lcm.HandleSubscriptions(0)
+        messages, self._messages = self._messages, []
+        return messages
+
+    def _receive(self, decode: Callable[[bytes], Any], message: bytes) -> None:
+        try:
+            self._messages.append(decode(message))
+        except LiveError as error:
+            self.refused, self.last_refusal = self.refused + 1, str(error)
+
+
 class _ZmqSocket:
     """A ZeroMQ socket with short queues and a size limit that closes without waiting."""
 
@@ -156,12 +187,13 @@ class _ZmqSocket:
         self._socket.setsockopt(self._zmq.SNDHWM, 2)
         self._socket.setsockopt(self._zmq.MAXMSGSIZE, MAX_BYTES)  # disconnects a peer that sends more
 
-    def _open(self, method: Callable[[str], Any], endpoint: str, failure: str) -> None:
+    def _open(self, endpoint: str, binds: bool) -> None:
         try:
-            method(endpoint)
+            (self._socket.bind if binds else self._socket.connect)(endpoint)
         except self._zmq.ZMQError as error:
             self.close()
-            raise LiveError(f"{endpoint}: {failure}: {error}") from None
+            what = "listen" if binds else "connect"
+            raise LiveError(f"{endpoint}: cannot {what} there: {error}") from None
 
     def close(self) -> None:
         self._socket.close()
@@ -169,15 +201,15 @@ class _ZmqSocket:
 
 
 class ZmqReceiver(_ZmqSocket):
-    """A SUB or PULL socket that connects to a sender, at once or when the sender starts."""
+    """A SUB or PULL socket that connects to a sender, at once or when the sender starts, or binds."""
 
     refusing = ""  # it refuses nothing
 
-    def __init__(self, pattern: str, endpoint: str):
+    def __init__(self, pattern: str, endpoint: str, binds: bool = False):
         super().__init__(pattern)
         if pattern == "sub":
             self._socket.subscribe(b"")
-        self._open(self._socket.connect, endpoint, "cannot connect there")
+        self._open(endpoint, binds)
 
     def drain(self) -> list[bytes]:
         messages: list[bytes] = []
@@ -191,11 +223,11 @@ class ZmqReceiver(_ZmqSocket):
 
 
 class ZmqSender(_ZmqSocket):
-    """A PUB or PUSH socket that binds; messages without a receiver are dropped."""
+    """A PUB or PUSH socket that binds or connects; messages without a receiver are dropped."""
 
-    def __init__(self, pattern: str, endpoint: str):
+    def __init__(self, pattern: str, endpoint: str, binds: bool = True):
         super().__init__(pattern)
-        self._open(self._socket.bind, endpoint, "cannot listen there")
+        self._open(endpoint, binds)
 
     @property
     def endpoint(self) -> str:

@@ -17,8 +17,8 @@ from geort_drake import HandModel, load_retargeter, load_scenario
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.live.devices import ALLEGRO, PANDA, JointStatus
 from geort_drake.live.messages import decode
+from geort_drake.live.robot_buses import ALLEGRO, PANDA
 from geort_drake.people.checks import examine
 from geort_drake.people.readers import open_recording
 from geort_drake.retargeting.checkpoint import CONFIG as CHECKPOINT_CONFIG
@@ -86,8 +86,8 @@ def _messages(folder: Path) -> list[Reader]:
         "manus.txt": ",".join(manus_words("aa", nodes_of(p_HK))).encode(),
     }
     for device in (ALLEGRO, PANDA):
-        status = JointStatus(*np.full((3, len(device.joints)), 0.25))
-        messages[f"{len(device.joints)} joints.lcm"] = device.encode_status(1.0, status)
+        quarters = [0.25] * len(device.joints)
+        messages[f"{len(device.joints)} joints.lcm"] = device.encode_status(1.0, quarters, quarters)
     for name, message in messages.items():
         (room / name).write_bytes(message)
     reads = [glove_message] * 3 + [functools.partial(joint_status, device) for device in (ALLEGRO, PANDA)]

@@ -173,7 +173,7 @@ async function toggle() {
   if (element("engage").disabled) return;
   if (model.welcome.role === "spectator") return hello();
   if (model.state?.engaged) return connection.send({ type: "disengage" });
-  if (model.welcome.robot === "lcm") {
+  if (model.welcome.robot === "real") {
     if (!(await confirmRealRobot())) return;
     connection.send({ type: "engage" }); // a real robot wants it twice
   }

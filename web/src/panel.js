@@ -17,7 +17,7 @@ export function show(model) {
   body.toggleAttribute("data-engaged", Boolean(state?.engaged));
   body.toggleAttribute("data-holding", Boolean(state?.engaged && !state.following));
   body.toggleAttribute("data-recording", Boolean(state?.recording));
-  write("connection", !model.connected ? "Connecting" : welcome?.robot === "lcm" ? "Real robot" : "Simulation");
+  write("connection", !model.connected ? "Connecting" : welcome?.robot === "real" ? "Real robot" : "Simulation");
   write(element("headline").querySelector("strong"), now.headline);
   write(element("headline").querySelector("span"), now.detail);
   element("fist").style.strokeDasharray = `${state?.fist ?? 0} 1`;

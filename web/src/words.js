@@ -48,7 +48,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
   if (!seen) return say("waiting", `Hold up your ${side} hand`, "The whole hand, with the palm to the camera.");
   if (refusal) return say("tracking", "Not yet", refusal);
-  if (welcome.robot === "lcm") return say("tracking", "Press Engage to take control", "The real robot will move.");
+  if (welcome.robot === "real") return say("tracking", "Press Engage to take control", "The real robot will move.");
   return state?.fist > 0
     ? say("tracking", "Keep the fist", "The robot follows when the ring is full.")
     : say("tracking", "Hold a fist to take control", "Or press Engage. The robot moves as your hand does.");
