@@ -21,21 +21,22 @@ import numpy as np
 import torch
 from dex_package import TYPES, make_dex_retargeter
 from side_by_side import measure, parse, parser, report
-from untrained import FINGERS, add_retargeter_options, dense_layers, untrained
+from untrained import FINGERS, add_form_option, untrained
 
 from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
-from geort_drake.retargeting.methods import make_untrained
+from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.mlp import MlpRetargeter
 
 HAND = "allegro_right"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser(__doc__)
-    add_retargeter_options(options)
+    add_form_option(options)
     options.add_argument("--recording", type=Path, help="recording of a right hand (default: synthetic play)")
     options.add_argument("--scaling", action="store_true", help="time larger hands and batches")
     arguments = parse(options, argv)
@@ -49,20 +50,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.scaling:
         grow(arguments, hands)
         return 0
-    retarget = untrained(arguments.method, backend=arguments.backend)
+    retarget = untrained(arguments.method)
     description = load_hand(HAND)
     tips = hands[:, description.human_keypoints]
     published = Published(tips)
     functions = {
         "call": over(retarget, tips),
         "call, whole hand": over(retarget, hands),
-        "bare arithmetic": over(bare_arithmetic(arguments.method), tips.reshape(-1, 12)),
+        "bare arithmetic": over(bare_arithmetic(retarget), tips.reshape(-1, 12)),
         "published, PyTorch": over(published, tips),
         "the same without gradients": over(torch.no_grad()(published), tips),
         **dex_retargeting(description, hands),
     }
     results = measure(functions, arguments.seconds)
-    report(f"one call of {arguments.method}, {arguments.backend}", results, "call", arguments.json)
+    report(f"one call of {arguments.method}", results, "call", arguments.json)
     return 0
 
 
@@ -72,9 +73,12 @@ def over(function: Callable[[np.ndarray], object], frames: np.ndarray) -> Callab
     return lambda: function(next(ever))
 
 
-def bare_arithmetic(method: str) -> Callable[[np.ndarray], np.ndarray]:
+def bare_arithmetic(retarget: MlpRetargeter) -> Callable[[np.ndarray], np.ndarray]:
     """Returns a function that multiplies a vector (12,) by the weights, in the fewest calls of BLAS."""
-    (first, last), _, own, residual = dense_layers(method)
+    first, own, residual, last = (
+        np.ascontiguousarray(getattr(retarget, f"_{name}"))
+        for name in ("weight0", "weight1", "residual1", "weight2")
+    )
     h, u, y = np.empty(len(last)), np.empty(len(last)), np.empty(16)
     count, width = own.shape[:2]
     start, apart = count * width, (count, 1, width)
@@ -129,7 +133,7 @@ def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], ob
     """Returns the package's optimisers on hands (T, 21, 3); none if it is not installed."""
     hand, functions = HandModel(description), {}
     for name, kind in TYPES.items():
-        ours = make_untrained(name, hand.kinematics(), description.human_keypoints)
+        ours = METHODS[name].fit(hand)
         try:
             theirs = make_dex_retargeter(name, hand, ours.huber_delta)
         except ImportError as error:
@@ -145,12 +149,12 @@ def grow(arguments: argparse.Namespace, hands: np.ndarray) -> None:
     names = list(FINGERS)
     functions = {
         f"{count} fingers": over(
-            untrained(arguments.method, count, backend=arguments.backend),
+            untrained(arguments.method, count),
             hands[:, list(FINGERS.values())[:count]],
         )
         for count in (4, 2, 3, len(names))
     }
-    retarget = untrained(arguments.method, backend=arguments.backend)
+    retarget = untrained(arguments.method)
     for size in (10, 100, 1000, 5000):
         functions[f"batch of {size:,}"] = lambda batch=hands[:size]: retarget(batch)
     results = measure(functions, arguments.seconds)

@@ -31,7 +31,6 @@ from pydrake.trajectories import PiecewisePolynomial
 from rich.table import Table
 from side_by_side import parse, write_json
 
-from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import console, run_main
 from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import load_hand
@@ -39,7 +38,8 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.store import load_retargeter
+from geort_drake.retargeting.train import cached_map
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
@@ -59,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         description=__doc__.splitlines()[0], epilog=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     options.add_argument("--object", default="cylinder", help="object to grasp (default: %(default)s)")
-    options.add_argument("--retargeter", type=Path, help="checkpoint (default: trained on synthetic play)")
+    options.add_argument("--retargeter", type=Path, help="map (default: trained on synthetic play)")
     options.add_argument(
         "--seconds", type=float, default=25.0, help="longest simulated time, s (default: %(default)s)"
     )
@@ -150,9 +150,9 @@ class Maker:
     def __init__(self, object_name: str, retargeter: Path | None):
         self._object = object_name
         scenario, play = _scenario(object_name), synthesize_play(seed=0)
-        checkpoint = retargeter or cached_checkpoint(scenario.hand, play)
         description = load_hand(scenario.hand)
-        self._retarget = load_retargeter(checkpoint, HandModel(description))
+        path = retargeter or cached_map(HandModel(description), play)
+        self._retarget = load_retargeter(path, HandModel(description))
         self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plans(2)[0]
 
     def __call__(

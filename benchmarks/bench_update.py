@@ -15,13 +15,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from pydrake.systems.framework import Context, EventStatus, LeafSystem
 from side_by_side import measure, parse, parser, report
-from untrained import FINGERS, add_retargeter_options, untrained
+from untrained import FINGERS, add_form_option, untrained
 
 from geort_drake.console import run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
 from geort_drake.people.play import synthesize_play
-from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
+from geort_drake.retargeting.trained_space import TrainedSpace
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
@@ -30,12 +30,12 @@ PERIOD = 0.01
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser(__doc__)
-    add_retargeter_options(options)
+    add_form_option(options)
     arguments = parse(options, argv)
-    retarget = untrained(arguments.method, backend=arguments.backend)
+    retarget = untrained(arguments.method)
     hands = synthesize_play(seed=0, duration_s=60.0, rate_hz=1 / PERIOD).p_HK.astype(float)
     keypoints = [FINGERS[name] for name in retarget.finger_names]
-    retarget.trained_space = TrainedSpace(trained_points(hands[:, keypoints]), keypoints)
+    retarget.trained_space = TrainedSpace.of_recording(hands[:, keypoints], keypoints)
     robot = HandModel(load_hand("allegro_right"))
     start = dict(zip(retarget.joint_names, retarget(hands[0]), strict=True))
     limits = JointLimits(retarget.lower, retarget.upper)
@@ -50,7 +50,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "ports alone": updates(Idle(system), hands),
     }
     results = measure(functions, arguments.seconds)
-    report(f"one update with {arguments.method}, {arguments.backend}", results, "call", arguments.json)
+    report(f"one update with {arguments.method}", results, "call", arguments.json)
     return 0
 
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.methods import online
+from geort_drake.retargeting import online
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
 # Name of our method → type of the package's optimiser.
-TYPES = {"vector_online": "vector", "dexpilot_online": "dexpilot"}
+TYPES = {"anyteleop": "vector", "dexpilot": "dexpilot"}
 
 
 def make_dex_retargeter(name: str, hand: HandModel, huber_delta: float) -> Any:

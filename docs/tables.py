@@ -134,9 +134,9 @@ def protocol_table() -> str:
 
 def methods_table() -> str:
     """A Markdown table of the retargeting methods."""
-    from geort_drake.retargeting.methods import all_methods
+    from geort_drake.retargeting import METHODS
 
-    rows = [f"| `{name}` | {method.summary} |" for name, method in all_methods().items()]
+    rows = [f"| `{name}` | {method.summary} |" for name, method in METHODS.items()]
     return "\n".join(["| method | description |", "|---|---|", *rows])
 
 

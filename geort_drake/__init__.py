@@ -1,10 +1,9 @@
 """GeoRT hand retargeting: human fingertips to robot joint angles, judged in a Drake simulation.
 
 Retargeters:
-    load_retargeter: loads a checkpoint as a `Retargeter`; needs only NumPy.
+    load_retargeter: loads a trained map as a `Retargeter`; needs only NumPy and safetensors.
     Retargeter: maps 21 human keypoints to robot joint angles.
-    train_checkpoint: trains a retargeter on a recording and writes its checkpoint.
-    refit_checkpoint: fits the universal map to a person and writes a checkpoint.
+    train_map: trains a `Retargeter` on a recording.
     evaluate: computes a retargeter's metrics on a recording.
 People:
     read_recording: reads a recording of a hand in any known format.
@@ -37,8 +36,6 @@ TYPE_CHECKING = False  # as in typing, whose import would take longer than all t
 
 if TYPE_CHECKING:
     from geort_drake.comparison.metrics import evaluate as evaluate
-    from geort_drake.comparison.refit import refit_checkpoint as refit_checkpoint
-    from geort_drake.comparison.train import train_checkpoint as train_checkpoint
     from geort_drake.hands.assembly import add_hand_model as add_hand_model
     from geort_drake.hands.description import load_hand as load_hand
     from geort_drake.hands.hand import Hand as Hand
@@ -53,8 +50,9 @@ if TYPE_CHECKING:
     from geort_drake.rerun import SignalSpec as SignalSpec
     from geort_drake.rerun import StateSpec as StateSpec
     from geort_drake.rerun import add_rerun_recorder as add_rerun_recorder
-    from geort_drake.retargeting.retargeter import Retargeter as Retargeter
-    from geort_drake.retargeting.retargeter import load_retargeter as load_retargeter
+    from geort_drake.retargeting.base import Retargeter as Retargeter
+    from geort_drake.retargeting.store import load_retargeter as load_retargeter
+    from geort_drake.retargeting.train import train_map as train_map
     from geort_drake.simulation.diagram import make_trial_diagram as make_trial_diagram
     from geort_drake.simulation.scenario_files import load_scenario as load_scenario
     from geort_drake.simulation.trial import run_trial as run_trial
@@ -72,7 +70,7 @@ _MODULES = {
     "Hand": "hands.hand",
     "HandModel": "hands.model",
     "Recording": "people.recording",
-    "Retargeter": "retargeting.retargeter",
+    "Retargeter": "retargeting.base",
     "RetargetingSystem": "systems.retargeting_system",
     "WristToArm": "systems.wrist_to_arm",
     "CloseUpSpec": "rerun",
@@ -85,14 +83,13 @@ _MODULES = {
     "add_rerun_recorder": "rerun",
     "evaluate": "comparison.metrics",
     "load_hand": "hands.description",
-    "load_retargeter": "retargeting.retargeter",
+    "load_retargeter": "retargeting.store",
     "load_scenario": "simulation.scenario_files",
     "make_trial_diagram": "simulation.diagram",
     "read_recording": "people.readers",
-    "refit_checkpoint": "comparison.refit",
     "run_trial": "simulation.trial",
     "synthesize_play": "people.play",
-    "train_checkpoint": "comparison.train",
+    "train_map": "retargeting.train",
 }
 __all__ = list(_MODULES)
 

@@ -27,7 +27,7 @@ from rich.table import Column, Table
 from geort_drake.errors import GeortError
 
 if TYPE_CHECKING:
-    from geort_drake.retargeting.training.descent import Report
+    from geort_drake.retargeting.descent import Report
 
 # Messages go to stderr, so stdout stays machine-readable; `quiet` silences all but warnings and errors.
 console = Console(stderr=True, highlight=False)
@@ -42,7 +42,7 @@ _EXTRAS = {
     "cryptography": "live",
 }
 # The losses shown while a method trains.
-_SHOWN_LOSSES = ("direction", "matching", "coverage", "pinch", "collision")
+_SHOWN_LOSSES = ("direction", "matching", "cover", "pinch", "collision")
 
 
 def say(text: str) -> None:
@@ -96,11 +96,11 @@ class Display(Progress):
         """Returns a `Report` callback that shows the losses of a training and then calls `also`."""
         update = self.counter(label)
 
-        def report(step: int, steps: int, losses: dict[str, float], network: Any) -> None:
+        def report(step: int, steps: int, losses: dict[str, float]) -> None:
             note = "  ".join(f"{key} {losses[key]:.3f}" for key in _SHOWN_LOSSES if key in losses)
             update(step, steps, note)
             if also is not None:
-                also(step, steps, losses, network)
+                also(step, steps, losses)
 
         return report
 

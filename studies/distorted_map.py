@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geort_drake.retargeting.human_points import HumanPoints
-from geort_drake.retargeting.method import Retarget
+from geort_drake.retargeting.base import Retarget, Retargeter
 
 RIPPLE_LENGTH = 0.008  # m
 # Distances of thumb and finger at which they pinch fully, and not at all, m.
@@ -84,13 +83,10 @@ def distortion_of(levels: Sequence[int]) -> Distortion:
     return Distortion(*(LEVELS[name][level + 1] for name, level in zip(FACTORS, levels, strict=True)))
 
 
-class DistortedMap:
-    """A map whose inputs are distorted; called as `Retargeter` is.
+class DistortedMap(Retargeter):
+    """A map whose inputs are distorted.
 
     All but ripple and gap vanish where a finger and the thumb pinch, lest every distortion open pinches.
-
-    Attributes:
-        finger_names, joint_names, lower, upper: of the map.
     """
 
     def __init__(
@@ -110,9 +106,8 @@ class DistortedMap:
             seed: of axes and phases.
         """
         self._retarget, self._how = retarget, distortion
-        self.finger_names, self.joint_names = tuple(retarget.finger_names), tuple(retarget.joint_names)
-        self.lower, self.upper = retarget.lower, retarget.upper
-        self._points = HumanPoints(self.finger_names, keypoints)
+        names = retarget.finger_names, retarget.joint_names
+        super().__init__(*names, keypoints, retarget.lower, retarget.upper)
         self._rest = frames.mean(axis=0)
         # A finger's range along each axis, as the wavelength of its gain, (F, 3) m.
         self._range = np.subtract(*np.percentile(frames, (97.5, 2.5), axis=0))
@@ -132,14 +127,14 @@ class DistortedMap:
             reset()
 
     def settled_map(self, frames: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        """The answers to hands (N, F, 3) that are held still, see `VectorOnline.settled_map`."""
+        """The answers to hands (N, F, 3) that are held still, see `AnyTeleop.settled_map`."""
         settled = self._retarget
         if hasattr(settled, "settled_map"):
             settled = settled.settled_map(self.inputs(frames))
         return lambda p_HF: settled(self.inputs(p_HF))
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        return self._retarget(self.inputs(self._points(points)))
+    def _angles(self, p_HF: np.ndarray) -> np.ndarray:
+        return self._retarget(self.inputs(p_HF))
 
     def inputs(self, p_HF: np.ndarray) -> np.ndarray:
         """The fingertips (F, 3) or (N, F, 3), m, that the map gets instead of these."""

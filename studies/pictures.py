@@ -159,7 +159,7 @@ def film(recording: Path, picture: Path) -> None:
 
 def record_explorer(folder: Path, arguments: argparse.Namespace) -> None:
     """Records a map and an untrained method in the explorer."""
-    methods = ["--methods", arguments.retargeter, "vector_online"]
+    methods = ["--methods", arguments.retargeter, "anyteleop"]
     run("explore_retargeting", *_recording(arguments), *methods, "--output", folder / "explorer.rrd")
 
 

@@ -21,8 +21,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.population import sample_person
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
-from geort_drake.retargeting.map_file import load_map
-from geort_drake.retargeting.retargeter import load_retargeter
+from geort_drake.retargeting.store import load_retargeter
 
 SECONDS = (1.0, 30.0)
 COLUMNS = ("MP", "steps", "cov 10", "closed", "deep", "false", "collision", "gain", "cross-talk")
@@ -64,11 +63,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--recordings", nargs="*", type=Path, default=[])
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args(argv)
-    file = load_map(arguments.map)
-    hand = HandModel(load_hand(arguments.hand or next(iter(file.hands))))
+    file = load_retargeter(arguments.map)
+    hand = HandModel(load_hand(arguments.hand or file.robot_hands[0]))
     retarget, space = load_retargeter(arguments.map, hand), robot_space(hand)
     rows: dict[float, dict[str, list[float]]] = {seconds: {} for seconds in SECONDS}
-    training = file.training
+    training = file.info["config"]
     for name, recording in people_of(arguments, training["people"], training["seed"], hand.description.side):
         p_HK = recording.p_HK[recording.valid].astype(float)
         p_HF = p_HK[:, list(file.human_keypoints)]

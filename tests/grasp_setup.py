@@ -13,8 +13,8 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from geort_drake import HandModel, Recording, load_scenario, run_trial, synthesize_play
 from geort_drake.people.human_hand import HumanHand
-from geort_drake.retargeting.methods import make_untrained
-from geort_drake.retargeting.methods.affine_ik import AffineIK
+from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.monitor import TaskMonitor
@@ -178,7 +178,7 @@ def goals(task: str) -> list:
 def retarget_and_play(method: str) -> tuple[Any, FreePlay]:
     """A map without training for the person who plays, and what that person sees of it in free play."""
     frames = play().fingertips([4, 8, 12, 16])
-    retarget = make_untrained(method, allegro().kinematics(), frames=frames)
+    retarget = METHODS[method].fit(allegro(), frames)
     return retarget, seen_fingertips(retarget, allegro(), person_who_plays())
 
 

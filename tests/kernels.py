@@ -30,6 +30,7 @@ def margins(kernel: str, seed: int) -> tuple[int, dict[str, float]]:
         command = [
             sys.executable, "-m", "pytest", "-q", "-m", "training", str(Path(__file__).parent),
             f"--training-seed={seed}", f"--training-margin={MARGIN}", f"--junitxml={report}",
+            "-o", "junit_family=xunit1",
         ]  # fmt: skip
         environment = os.environ | {"ATEN_CPU_CAPABILITY": kernel, "OMP_NUM_THREADS": "1"}
         code = subprocess.run(command, env=environment, check=False).returncode

@@ -1,32 +1,27 @@
 """Trainings of a few steps, for tests of what is around them."""
 
+import os
 from pathlib import Path
 
-from geort_drake import Recording, train_checkpoint
+from geort_drake import HandModel, Recording, train_map
 
+_TINY = {"steps": 5, "hidden": 8}
 LIGHT = {
-    "geort": {
-        "hidden": 8,
-        "points": 16,
-        "targets": 32,
-        "pinches": 8,
-        "frames": 8,
-        "classifier_steps": 5,
-        "refreshes": 0,
-    },
-    "linear_offline": {"hidden": 8},
+    "geort": _TINY | {"points": 32, "gestures": 16, "robot_samples": 1000, "pretraining_steps": 5},
+    "telekinesis": _TINY,
 }
 
 
 def train_lightly(
-    hand: str | Path,
+    hand: str | os.PathLike | HandModel,
     recording: Recording,
     output: Path,
-    method: str = "linear_offline",
+    method: str = "telekinesis",
     seed: int = 0,
     **settings,
 ) -> Path:
-    """A checkpoint of a training of a few steps."""
-    settings = {"steps": 5} | LIGHT.get(method, {}) | settings
-    options = {"show_progress": False, "settings": settings, "robot_samples": 1000}
-    return train_checkpoint(hand, recording, output, method, seed, **options)
+    """Writes a map after a training of a few steps."""
+    hand = hand if isinstance(hand, HandModel) else HandModel(hand)
+    settings = LIGHT[method] | settings
+    train_map(hand, recording, method, seed, settings=settings, show_progress=False).save(output)
+    return output

@@ -15,7 +15,7 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.teleoperation import make_teleoperation
 from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.live.web.session import robot_joints
-from geort_drake.retargeting.method import Retarget
+from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND

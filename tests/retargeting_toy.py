@@ -1,10 +1,15 @@
 """A small robot hand and a person whose fingertips are known to map onto it, shared by the tests."""
 
+from collections.abc import Callable
+from types import SimpleNamespace
+
 import numpy as np
 import torch
 
-from geort_drake.retargeting.method import TrainingData
-from geort_drake.retargeting.training.kinematics import FingerChain, HandKinematics
+from geort_drake.hands.kinematics import FingerChain, HandKinematics
+from geort_drake.people.keypoints import TIP_KEYPOINT
+from geort_drake.retargeting.base import Retargeter
+from geort_drake.retargeting.kinematics import fingertips
 
 LINK = 0.04  # m
 
@@ -49,14 +54,23 @@ def toy_collides(q: np.ndarray) -> np.ndarray:
 def toy_human(hand: HandKinematics, frames: int = 1500, seed: int = 1) -> np.ndarray:
     """(T, F, 3) fingertips of a person who is the robot, 0.8 times as large and 5 cm away."""
     q = np.random.default_rng(seed).uniform(hand.lower, hand.upper, (frames, len(hand.joint_names)))
-    return 0.8 * hand.fingertips(torch.tensor(q)).numpy() + [0.0, 0.0, 0.05]
+    return 0.8 * fingertips(hand, torch.tensor(q)).numpy() + [0.0, 0.0, 0.05]
 
 
-def toy_data(hand: HandKinematics, human: np.ndarray | None = None, **changes) -> TrainingData:
-    """Training data of that person and hand, labelled by `toy_collides`."""
-    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (4000, len(hand.joint_names)))
-    given = {"labels": lambda: toy_collides(q), "collides": toy_collides} | changes
-    return TrainingData(toy_human(hand) if human is None else human, hand, **{"q": q} | given)
+class ToyHand:
+    """The hand as a model, which draws joint angles and labels them."""
+
+    def __init__(self, kinematics: HandKinematics, collides: Callable = toy_collides):
+        self._kinematics, self.collides_beyond_tips = kinematics, collides
+        keypoints = [TIP_KEYPOINT[name] for name in kinematics.finger_names]
+        self.description = SimpleNamespace(name="toy", side="right", human_keypoints=keypoints)
+
+    def kinematics(self) -> HandKinematics:
+        return self._kinematics
+
+    def sample(self, count: int, seed: int = 0) -> np.ndarray:
+        hand = self._kinematics
+        return np.random.default_rng(seed).uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
 
 
 HAND = toy_kinematics()
@@ -64,7 +78,6 @@ HUMAN = toy_human(HAND)
 PLANTED = (HUMAN - [0.0, 0.0, 0.05]) / 0.8  # the fingertips that this person has as a robot, m
 
 
-def answers(network: torch.nn.Module) -> np.ndarray:
-    """(T, F, 3) robot fingertips of a trained network for that person, m."""
-    with torch.no_grad():
-        return HAND.fingertips(network(torch.tensor(HUMAN).float())).numpy()
+def answers(retarget: Retargeter) -> np.ndarray:
+    """(T, F, 3) robot fingertips of a trained map for that person, m."""
+    return fingertips(HAND, torch.tensor(retarget(HUMAN))).numpy()

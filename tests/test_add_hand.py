@@ -1,24 +1,23 @@
 """From a model file to a hand description, its notes and checks, and to training and simulation."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
 import yaml
 from grasp_setup import Constant, resting_glove, started
 from hand_family import HandSpec, joint_name, write_hand
+from light_training import LIGHT
 from pydrake.geometry import Role
 from pydrake.math import RollPitchYaw
 
 from geort_drake import (
     HandModel,
+    evaluate,
     load_hand,
-    load_retargeter,
     load_scenario,
     make_trial_diagram,
     synthesize_play,
-    train_checkpoint,
+    train_map,
 )
 from geort_drake.cli import run_command
 from geort_drake.cli.grasp import try_out
@@ -30,8 +29,8 @@ from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.finger_names import fingers_by_name
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-from geort_drake.retargeting.training.collision_geometry import CollisionGaps
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
 FAMILY = [
@@ -125,13 +124,11 @@ def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
     run_command("add-hand", [str(model), "--output", str(file), "--rrd", str(tmp_path / "mine.rrd")])
     assert b"tips/index" in (tmp_path / "mine.rrd").read_bytes()
     play = synthesize_play(seed=1, duration_s=60.0, rate_hz=30.0, side=spec.side)
-    path = train_checkpoint(
-        file, play, tmp_path / "trained", show_progress=False, settings={"steps": 3}, robot_samples=1000
-    )
-    retarget = load_retargeter(path, hand := HandModel(file))
+    settings = LIGHT["geort"] | {"steps": 3}
+    retarget = train_map(hand := HandModel(file), play, show_progress=False, settings=settings)
     q = retarget(synthesize_play(seed=2, duration_s=1.0, rate_hz=30.0).p_HK.astype(float))
     assert ((hand.lower <= q) & (q <= hand.upper)).all()
-    figures = json.loads((path / "metrics.json").read_text())
+    figures = evaluate(retarget, hand, play)
     for name in ("motion_preservation", "flatness", "gain_p95_p5", "self_collision"):
         assert np.isfinite(figures[name]), name
 

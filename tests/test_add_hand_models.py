@@ -26,7 +26,7 @@ from geort_drake.hands.importers.conversion import add_collisions, convert_model
 from geort_drake.hands.importers.couplings import tendon_couplings
 from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.retargeting.training.collision_geometry import CollisionGaps
+from geort_drake.retargeting.collision import CollisionGaps
 
 # A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
 PARTS = {

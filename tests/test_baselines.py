@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from retargeting_toy import toy_data, toy_human, toy_kinematics
+from retargeting_toy import toy_human, toy_kinematics
 
-from geort_drake.errors import GeortError, HandError, TrainingError, UnknownNameError
-from geort_drake.retargeting.methods import make_untrained, untrained_methods
-from geort_drake.retargeting.methods.affine_ik import AffineIK
-from geort_drake.retargeting.methods.linear_offline import SCALE, LinearConfig, train_linear_offline
-from geort_drake.retargeting.methods.online import DexPilotOnline, VectorOnline
+from geort_drake.errors import GeortError, HandError, UnknownNameError
+from geort_drake.hands.kinematics import HandKinematics
+from geort_drake.retargeting import METHODS, find_method
+from geort_drake.retargeting.affine_ik import AffineIK
+from geort_drake.retargeting.kinematics import fingertips
+from geort_drake.retargeting.linear import SCALE, LinearConfig
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-from geort_drake.retargeting.training.kinematics import HandKinematics
+from geort_drake.retargeting.online import AnyTeleop, DexPilot
 
 P_BW = np.array([0.0, 0.0, -0.095])  # of the Allegro: the palm's foot, as dex-retargeting has it
 
@@ -46,7 +47,7 @@ def test_a_reachable_hand_is_reproduced(kinematics):
     """Held still, human tips that are the robot's over α put the robot's tips there."""
     q = interior(kinematics, 20, 10)
     p_HF = reachable(kinematics, q)
-    online = VectorOnline(kinematics)
+    online = AnyTeleop(kinematics)
     rest = online.settle(p_HF, np.clip(q + 0.2, kinematics.lower, kinematics.upper))
     hand = online.kinematics
     error = np.linalg.norm(hand.fingertips(rest) - hand.fingertips(q), axis=-1)
@@ -65,13 +66,13 @@ def test_a_projected_pinch_brings_the_tips_together(kinematics):
     p_HF = reachable(kinematics, np.full((1, 16), 0.4))
     p_HF[0, 0] = p_HF[0, 1] + [0.0, 0.0, -0.025]
     tips = {}
-    for method in (VectorOnline, DexPilotOnline):
+    for method in (AnyTeleop, DexPilot):
         online = method(kinematics)
         tips[method] = online.kinematics.fingertips(online.settle(p_HF))[0]
     distance = {method: np.linalg.norm(p[0] - p[1]) for method, p in tips.items()}
-    assert distance[DexPilotOnline] < 0.012
-    assert distance[VectorOnline] > 0.030
-    online, states = DexPilotOnline(kinematics), []
+    assert distance[DexPilot] < 0.012
+    assert distance[AnyTeleop] > 0.030
+    online, states = DexPilot(kinematics), []
     for millimetres in (60, 40, 29, 40, 49, 51, 40, 31, 29):
         # The other fingers are over 6 cm away.
         p = np.array([[0.05, -0.07 * finger, 0.10] for finger in range(4)])
@@ -81,12 +82,12 @@ def test_a_projected_pinch_brings_the_tips_together(kinematics):
     assert states == [False, False, True, True, True, False, False, False, True]
 
 
-@pytest.mark.parametrize("name", untrained_methods())
+@pytest.mark.parametrize("name", ["affine_ik", "anyteleop", "dexpilot", "hold"])
 def test_limits_are_respected_and_every_shape_is_answered(kinematics, name):
     """Wild hands stay inside the limits; fingertips and whole hands, one or many, are taken."""
     rng = np.random.default_rng(12)
     frames = rng.uniform(-0.3, 0.3, (12, 4, 3))
-    retarget = make_untrained(name, kinematics, frames=frames)
+    retarget = METHODS[name].fit(kinematics, frames)
     q = retarget(frames)
     assert q.shape == (12, 16)
     assert (q >= kinematics.lower).all() and (q <= kinematics.upper).all()
@@ -100,7 +101,7 @@ def test_limits_are_respected_and_every_shape_is_answered(kinematics, name):
         retarget(np.full((4, 3), np.nan))
 
 
-@pytest.mark.parametrize("method", [VectorOnline, DexPilotOnline])
+@pytest.mark.parametrize("method", [AnyTeleop, DexPilot])
 def test_a_batch_is_a_sequence_and_reset_forgets_it(kinematics, method):
     """Frame by frame and as a batch give the same; after reset the first answer is given again."""
     frames = walk(kinematics, 15)
@@ -117,7 +118,7 @@ def test_a_batch_is_a_sequence_and_reset_forgets_it(kinematics, method):
 def test_settled_answers_have_no_memory(kinematics):
     """The same hand gets the same answer, in any order and company, and a held one stays."""
     frames = walk(kinematics, 20)
-    online = DexPilotOnline(kinematics)
+    online = DexPilot(kinematics)
     settled = online.settled_map(frames)
     first = settled(frames)
     np.testing.assert_allclose(settled(frames[::-1])[::-1], first, atol=1e-9)
@@ -145,31 +146,32 @@ def test_the_affine_map_puts_one_workspace_onto_the_other(kinematics):
     assert np.median(error) < 1e-4
     np.testing.assert_allclose(affine(frames[7]), affine(frames)[7], atol=1e-12)
     with pytest.raises(GeortError, match="the thumb moves less than 1 mm"):
-        AffineIK(kinematics, np.ones((5, 4, 3)))
+        AffineIK(kinematics, np.full((5, 4, 3), 0.1))
 
 
-def test_linear_offline_learns_the_scaled_hand():
+@pytest.mark.training
+def test_telekinesis_learns_the_scaled_hand(training_seed, reaches):
     """A person whose scaled hand the robot can have is reproduced within a few millimetres."""
     hand = replace(toy_kinematics(), p_BW=P_BW)
     robot = toy_human(hand, 1500, seed=4) / 0.8 - np.array([0.0, 0.0, 0.05]) / 0.8  # the robot's own tips
     p_HF = (robot - P_BW) / SCALE
-    data, config = toy_data(hand, p_HF), LinearConfig(steps=500, points=128, hidden=48)
-    rows = []
-    result = train_linear_offline(data, config, report=lambda *row: rows.append(row))
-    with torch.no_grad():
-        q = result.network(torch.tensor(p_HF, dtype=torch.float32))
-    error = np.linalg.norm(hand.fingertips(q).numpy() - robot, axis=-1)
-    assert error.mean() < 0.003
-    assert result.history[-1]["matching"] < 0.02 * result.history[0]["matching"]
-    assert len(rows) == len(result.history)
+    rows, config = [], LinearConfig(steps=600, points=128, hidden=48)
+    retarget = METHODS["telekinesis"].fit(
+        hand, p_HF, seed=training_seed, config=config, report=lambda *row: rows.append(row)
+    )
+    tips = fingertips(hand, torch.tensor(retarget(p_HF))).numpy()
+    reaches("error, m", float(np.linalg.norm(tips - robot, axis=-1).mean()), 0.006)
+    history = retarget.info["history"]
+    reaches("matching", history[-1]["matching"] / history[0]["matching"], 0.04)
+    assert len(rows) == len(history)
 
 
 def test_unknown_names_and_senseless_settings_are_refused(kinematics):
-    with pytest.raises(UnknownNameError, match="dexpilot_online, hold, vector_online"):
-        make_untrained("mimic", kinematics)
+    with pytest.raises(UnknownNameError, match="anyteleop, dexpilot, geort"):
+        find_method("mimic")
+    with pytest.raises(GeortError, match="recorded frames"):
+        METHODS["affine_ik"].fit(kinematics)
     with pytest.raises(HandError, match="needs a thumb"):
-        DexPilotOnline(toy_kinematics(("index", "middle")))
+        DexPilot(toy_kinematics(("index", "middle")))
     with pytest.raises(UnknownNameError, match="finger 'pollex'"):
-        VectorOnline(toy_kinematics(("pollex",)))
-    with pytest.raises(TrainingError, match="shape"):
-        train_linear_offline(toy_data(toy_kinematics(), np.zeros((10, 2, 3))))
+        AnyTeleop(toy_kinematics(("pollex",)))

@@ -91,7 +91,7 @@ def test_methods_objects_people_and_conditions_can_be_added(copy):
     settings["methods"]["hold"]["latency_s"] = 0.0123
     (copy / "settings.json").write_text(json.dumps(settings))
     before = rows_of(copy)
-    added = ["--methods", "vector_online", "vector_online", "--objects", "sphere", "--trials", "1"]
+    added = ["--methods", "anyteleop", "anyteleop", "--objects", "sphere", "--trials", "1"]
     assert run(copy, *added) == 0
     more = ["--methods", "hold", "--trials", "1", "--persons", "0", "3", "--vary"]
     assert run(copy, *more, "operator.visual_delay=0,0.18", "hand_stiffness_factor=2.0") == 0
@@ -99,13 +99,13 @@ def test_methods_objects_people_and_conditions_can_be_added(copy):
     new = [each for each in after if each not in before]
     assert list(after)[:4] == list(before)
     assert new == [
-        key("vector_online", 0, "sphere"),
+        key("anyteleop", 0, "sphere"),
         key("hold", 0)._replace(person=3),
         key("hold", 0, condition="operator.visual_delay=0"),
         key("hold", 0, condition="hand_stiffness_factor=2.0"),
     ]
     settings = read_settings(copy)
-    assert list(settings.methods) == ["hold", "affine_ik", "vector_online"]
+    assert list(settings.methods) == ["hold", "affine_ik", "anyteleop"]
     assert settings.objects == ["cylinder", "sphere"] and settings.trials == 2 and settings.persons == [0, 3]
     assert settings.methods["hold"]["latency_s"] == 0.0123
     report = (copy / "report.md").read_text()
@@ -125,9 +125,9 @@ def test_a_field_of_the_scenario_is_varied_by_its_name():
 
 def test_a_submitted_method_adds_its_row_with_the_settings_of_the_others(copy, tmp_path):
     before = rows_of(copy)
-    assert run_command("benchmark", ["--output", str(copy), "--jobs", "1", "--submit", "vector_online"]) == 0
+    assert run_command("benchmark", ["--output", str(copy), "--jobs", "1", "--submit", "anyteleop"]) == 0
     new = {each: row for each, row in rows_of(copy).items() if each not in before}
-    assert list(new) == [key("vector_online", 0), key("vector_online", 1)]
+    assert list(new) == [key("anyteleop", 0), key("anyteleop", 1)]
     assert {row["timeout"] for row in new.values()} == {0.3}
     with pytest.raises(BenchmarkError, match=r"settings\.json: no such file"):
         run_command("benchmark", ["--output", str(tmp_path), "--submit", "hold"])
@@ -281,10 +281,10 @@ def test_trained_methods_are_trained_several_times_and_others_once(tmp_path, mon
         made.append((method, seed))
         return find_hold(hand), None
 
-    from geort_drake.retargeting.methods import make_untrained
+    from geort_drake.retargeting import METHODS
 
     def find_hold(hand):
-        return make_untrained("hold", hand.kinematics(), hand.description.human_keypoints)
+        return METHODS["hold"].fit(hand)
 
     monkeypatch.setattr(benchmark_run, "resolve", resolve)
     assert run(tmp_path, "--methods", "hold", "geort", "--trainings", "2", "--trials", "1") == 0
@@ -300,18 +300,18 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, m
     for name, zero in (("measured", False), ("zero", True)):
         settings = Settings(zero_latency=zero)
         scenarios = {Variant("grasp", "servo"): load_scenario(text=TOO_SHORT)}
-        methods = {"hold": "hold", "vector_online": "vector_online"}
+        methods = {"hold": "hold", "anyteleop": "anyteleop"}
         benchmark = Benchmark(tmp_path / name, settings, scenarios, methods)
         list(benchmark.plan([key("hold", 0)], 1, "loky"))
         trials.simulate(benchmark.trial(key("hold", 0)))
         stored[name] = {method: entry["latency_s"] for method, entry in settings.methods.items()}
-    assert stored["measured"]["vector_online"] > stored["measured"]["hold"] > 0
+    assert stored["measured"]["anyteleop"] > stored["measured"]["hold"] > 0
     assert [latency for latency, _ in used] == [stored["measured"]["hold"], 0.0] and used[0][1] is used[1][1]
 
 
 def test_seeds_are_paired_across_methods(tmp_path):
     """One seed is one place, mass, friction and noise, whatever the method; another seed differs in each."""
-    methods = {"hold": "hold", "vector_online": "vector_online"}
+    methods = {"hold": "hold", "anyteleop": "anyteleop"}
     scenarios = {Variant("grasp", "servo"): load_scenario(text=TOO_SHORT)}
     benchmark = Benchmark(tmp_path, Settings(), scenarios, methods)
     keys = benchmark.keys(methods, ["cylinder"], [0], 2)

@@ -1,6 +1,5 @@
 """The command geort-drake: finding commands, options, messages, exit codes, and what it refuses."""
 
-import errno
 import json
 import logging
 import os
@@ -19,14 +18,14 @@ import yaml
 from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
-from geort_drake import synthesize_play
+from geort_drake import HandModel, synthesize_play
 from geort_drake.cli import COMMANDS, main, options, parser_of, run_command
 from geort_drake.cli.options import DEFAULT_METHOD, SHIPPED_METHOD, SIDES, CommandParser, write_json
-from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console, exit_code_of, progress_bar, run_main, track, warn
 from geort_drake.errors import OutputError, RecordingError
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
+from geort_drake.retargeting import train as retargeting_train
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
@@ -70,19 +69,19 @@ def test_python_m_and_scripts_are_the_same_program(tmp_path):
 
 def test_facts_repeated_for_help_agree_with_their_modules():
     """Methods and sides, which help lists without importing them."""
+    from geort_drake import retargeting
     from geort_drake.benchmark import log
     from geort_drake.export import episode, lerobot, parquet
     from geort_drake.people import recording
     from geort_drake.people.checks.anatomy import UNITS_M
-    from geort_drake.retargeting import checkpoint, methods
-    from geort_drake.retargeting.methods.geort.config import FORWARD_KINEMATICS, PRESETS
+    from geort_drake.retargeting.geort import FORWARD_KINEMATICS
 
-    assert (DEFAULT_METHOD, [SHIPPED_METHOD]) == (methods.DEFAULT_METHOD, list(methods.shipped_methods()))
+    assert DEFAULT_METHOD == retargeting.DEFAULT_METHOD and SHIPPED_METHOD in retargeting.METHODS
     assert set(SIDES) == set(recording.SIDES)
     choices = {action.dest: action.choices for action in parser_of("train")._actions}
-    assert (choices["preset"], choices["fk"]) == (list(PRESETS), list(FORWARD_KINEMATICS))
+    assert choices["fk"] == list(FORWARD_KINEMATICS)
     assert {each.dest: each.choices for each in parser_of("convert")._actions}["unit"] == list(UNITS_M)
-    files = [episode.RESULTS, log.TRIALS, checkpoint.WEIGHTS, parquet.EPISODES, lerobot.INFO]
+    files = [episode.RESULTS, log.TRIALS, parquet.EPISODES, lerobot.INFO]
     assert list(options.RESULT_FILES) == files
 
 
@@ -194,7 +193,7 @@ def test_every_public_name_imports_and_a_wrong_one_does_not():
 
 @pytest.fixture(scope="module")
 def inputs(light_desk, play):
-    """Folder of recordings, checkpoints and scenarios with one fault each, and of good ones."""
+    """Folder of recordings, maps and scenarios with one fault each, and of good ones."""
     folder = light_desk
     p_HK = play.p_HK.astype(float)
     lost = p_HK.copy()
@@ -204,7 +203,7 @@ def inputs(light_desk, play):
         np.save(folder / f"{name}.npy", array)
     (folder / "table.csv").write_text("0,0,0\n")
     play.save(folder / "no_wrist.npz")
-    train_lightly("allegro_right", play, folder / "map")
+    train_lightly("allegro_right", play, folder / "map.safetensors")
     changes = {"(?s)<inertial>.*?</inertial>": ""}
     weightless = write_hand(folder, HandSpec(4, mimic=False), "weightless", changes)
     write_description(propose(weightless).description, folder / "weightless.yaml")
@@ -220,8 +219,7 @@ def refused(tmp_path, inputs, monkeypatch, capsys):
     def too_early(*_arguments, **_keywords):
         raise AssertionError("planning or training began before the input was checked")
 
-    monkeypatch.setattr(comparison_train, "TrainingData", too_early)
-    monkeypatch.setattr("geort_drake.comparison.pretrain.train_universal", too_early)
+    monkeypatch.setattr("geort_drake.retargeting.geort.fit", too_early)
     monkeypatch.setattr(GraspPlanner, "plans", too_early)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     work = tmp_path / "work"
@@ -248,7 +246,7 @@ def refused(tmp_path, inputs, monkeypatch, capsys):
 REFUSED = yaml.safe_load(Path(__file__).with_name("refused_requests.yaml").read_text("utf-8"))
 READERS = {
     "grasp": "grasp --output out --recording {}",
-    "train": "train --output out --recording {}",
+    "train": "train --output out.safetensors --recording {}",
     "convert": "convert {} out.npz",
     "synthesize": "synthesize out.npz --hand-of {}",
 }
@@ -281,15 +279,12 @@ def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, comm
     monkeypatch.setattr("os.access", lambda _path, _mode: False)
     refused(READERS[command].format("@/good.npy"), "is not a directory that can be written to")
     with pytest.raises(OutputError, match="is not a directory that can be written to"):
-        comparison_train.cached_checkpoint("allegro_right", synthesize_play(0, 1.0))
+        retargeting_train.cached_map(HandModel("allegro_right"), synthesize_play(0, 1.0))
 
 
-def test_a_missing_backend_and_a_full_disk_are_refused_before_the_work(refused, monkeypatch):
+def test_a_missing_backend_is_refused_before_the_work(refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
     refused("benchmark --backend ray", "the backend 'ray' needs Ray: pip install 'geort-drake[ray]'")
-    monkeypatch.setattr("os.posix_fallocate", Mock(side_effect=OSError(errno.ENOSPC, "No space left")))
-    for line in ("pretrain --output map.safetensors", "train --output out"):
-        refused(line, "cannot be written: No space left")
 
 
 def test_live_says_before_it_trains_that_this_takes_minutes(tmp_path, inputs, monkeypatch, capsys):
@@ -298,8 +293,8 @@ def test_live_says_before_it_trains_that_this_takes_minutes(tmp_path, inputs, mo
     def train(*_arguments, **_keywords):
         raise InterruptedError(capsys.readouterr().err)
 
-    monkeypatch.setattr(comparison_train, "train_checkpoint", train)
+    monkeypatch.setattr(retargeting_train, "train_map", train)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr("geort_drake.cli.live_session.shipped_maps", dict)  # a hand without one
-    with pytest.raises(InterruptedError, match=r"no geort_coupled retargeter.*takes about two minutes"):
+    with pytest.raises(InterruptedError, match=r"no geort map.*takes about two minutes"):
         run_command("live", ["--glove", str(inputs / "no_wrist.npz")])

@@ -15,16 +15,16 @@ from geort_drake.comparison.metric_table import mean
 from geort_drake.comparison.metrics import pinch
 from geort_drake.comparison.protocols import GUARD_S, held_out
 from geort_drake.errors import TrainingError
-from geort_drake.retargeting.methods.online import VectorOnline
+from geort_drake.retargeting.online import AnyTeleop
 
 
 @pytest.fixture
 def quick(light_evaluation, tmp_path):
     """Few samples and short training, so that what is tested is the plumbing."""
 
-    def train(hand_name, recording, method="geort", seed=0, device="cpu"):
-        path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}"
-        return path if path.is_dir() else train_lightly(hand_name, recording, path, method, seed)
+    def train(hand, recording, method="geort", seed=0, device="cpu"):
+        path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}.safetensors"
+        return path if path.is_file() else train_lightly(hand, recording, path, method, seed)
 
     return train
 
@@ -32,7 +32,7 @@ def quick(light_evaluation, tmp_path):
 @pytest.fixture
 def evaluate(play, quick, monkeypatch, tmp_path):
     """Runs the script on the play; returns its exit code and what it wrote as JSON."""
-    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", quick)
+    monkeypatch.setattr("geort_drake.retargeting.train.cached_map", quick)
     play.save(tmp_path / "hand.npz")
     synthesize_play(1, duration_s=20.0, rate_hz=30.0).save(tmp_path / "other.npz")
     monkeypatch.chdir(tmp_path)
@@ -47,7 +47,7 @@ def evaluate(play, quick, monkeypatch, tmp_path):
 
 def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_path, capsys):
     """Trained and trivial methods, two seeds: JSON and tables are whole."""
-    methods = ["linear_offline", "hold"]
+    methods = ["telekinesis", "hold"]
     code, report = evaluate(f"--methods {' '.join(methods)} --held-out 2 --score-on other.npz --seeds 0 1")
     assert code == 0
     assert report["hand"] == "allegro_right" and "drake" in report["versions"]
@@ -77,7 +77,7 @@ def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_
         assert title in said.err
 
 
-def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, quick, capsys):
+def test_a_map_is_scored_only_where_its_training_fits(evaluate, play, quick, capsys):
     """It cannot be held out; what it learned from decides which of the other protocols it is for."""
     path = quick("allegro_right", play)
     code, report = evaluate(f"--methods {path} --held-out 2 --score-on other.npz")
@@ -98,42 +98,42 @@ def test_a_checkpoint_is_scored_only_where_its_training_fits(evaluate, play, qui
 def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsys):
     """A fold that cannot be learned from has its reason in place of figures; means are of the rest."""
 
-    def train(hand_name, recording, method, seed, device="cpu"):
+    def train(hand, recording, method, seed, device="cpu"):
         if recording.valid[-1] and not recording.valid[0]:
             raise TrainingError("the recording's ring tip visits only 7 places")
-        return quick(hand_name, recording, method, seed)
+        return quick(hand, recording, method, seed)
 
-    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
-    code, report = evaluate("--methods linear_offline hold --held-out 2")
+    monkeypatch.setattr("geort_drake.retargeting.train.cached_map", train)
+    code, report = evaluate("--methods telekinesis hold --held-out 2")
     assert code == 1
-    failed, done = report["methods"]["linear_offline"]["held_out"]["outcomes"]
+    failed, done = report["methods"]["telekinesis"]["held_out"]["outcomes"]
     reason = "the recording's ring tip visits only 7 places"
     assert failed == {"part": "block 1 of 2", "seed": 0, "error": reason}
-    mean = report["methods"]["linear_offline"]["held_out"]["mean"]
+    mean = report["methods"]["telekinesis"]["held_out"]["mean"]
     assert mean["motion_preservation"] == done["metrics"]["motion_preservation"]
     assert len(report["methods"]["hold"]["held_out"]["outcomes"]) == 2
     said = " ".join(capsys.readouterr().err.split())
-    assert "linear_offline, block 1 of 2, seed 0: the recording's ring tip" in said
+    assert "telekinesis, block 1 of 2, seed 0: the recording's ring tip" in said
     assert "(1 of 2)" in said
 
 
 def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkeypatch, tmp_path):
-    """The file is whole after each method, and trained checkpoints are found again."""
+    """The file is whole after each method, and trained maps are found again."""
     trained = []
 
-    def train(hand_name, recording, method, seed, device="cpu"):
+    def train(hand, recording, method, seed, device="cpu"):
         if method == "geort" and not trained[1:]:
             raise KeyboardInterrupt
-        trained.append((method, (tmp_path / f"{method}-{seed}-{recording.digest[:8]}").is_dir()))
-        return quick(hand_name, recording, method, seed)
+        trained.append((method, (tmp_path / f"{method}-{seed}-{recording.digest[:8]}.safetensors").is_file()))
+        return quick(hand, recording, method, seed)
 
-    monkeypatch.setattr("geort_drake.comparison.train.cached_checkpoint", train)
+    monkeypatch.setattr("geort_drake.retargeting.train.cached_map", train)
     with pytest.raises(KeyboardInterrupt):
-        evaluate("--methods linear_offline geort")
-    assert list(json.loads((tmp_path / "table.json").read_text("utf-8"))["methods"]) == ["linear_offline"]
-    code, report = evaluate("--methods linear_offline geort")
-    assert code == 0 and list(report["methods"]) == ["linear_offline", "geort"]
-    assert trained == [("linear_offline", False), ("linear_offline", True), ("geort", False)]
+        evaluate("--methods telekinesis geort")
+    assert list(json.loads((tmp_path / "table.json").read_text("utf-8"))["methods"]) == ["telekinesis"]
+    code, report = evaluate("--methods telekinesis geort")
+    assert code == 0 and list(report["methods"]) == ["telekinesis", "geort"]
+    assert trained == [("telekinesis", False), ("telekinesis", True), ("geort", False)]
 
 
 @pytest.fixture
@@ -165,10 +165,10 @@ def test_pinches_of_all_blocks_count_alike(halves):
 def test_recorded_frames_are_answered_in_their_order_from_rest(halves, quick):
     """Track and coverage of an online method are of each sequence, whatever was asked about before."""
     keypoints, hand = [4, 8, 12, 16], halves.hand
-    for outcomes in halves.run("vector_online").values():
+    for outcomes in halves.run("anyteleop").values():
         for outcome in outcomes:
             frames = outcome.case.scored_on.fingertips(keypoints)[:20]
-            p_BF = hand.fingertips(VectorOnline(hand.kinematics())(frames))
+            p_BF = hand.fingertips(AnyTeleop(hand.kinematics())(frames))
             np.testing.assert_allclose(outcome.evaluation.p_BF, p_BF, atol=1e-12)
             assert outcome.evaluation.remembers and outcome.evaluation.metrics["motion_preservation"] > 0.5
 

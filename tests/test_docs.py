@@ -13,22 +13,22 @@ from unittest import mock
 import numpy as np
 import pytest
 import yaml
-from light_training import train_lightly
+from light_training import LIGHT, train_lightly
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from geort_drake import GloveReplay, load_hand, load_scenario, rerun, run_trial, synthesize_play
+from geort_drake import GloveReplay, load_hand, load_scenario, rerun, run_trial, synthesize_play, train_map
 from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
-from geort_drake.comparison import train as comparison_train
 from geort_drake.console import console
 from geort_drake.errors import OutputError
 from geort_drake.files import locked
 from geort_drake.people.checks import examine, verdict
 from geort_drake.people.formats import FORMATS
 from geort_drake.resources import diagrams_dir, models_dir
+from geort_drake.retargeting import train as retargeting_train
 from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -73,7 +73,7 @@ def desk(light_desk, play):
     np.save(folder / "points.npy", 1000 * play.p_HK)
     shutil.copy(models_dir() / "sdf" / "allegro_right.sdf", folder / "hand.sdf")
     shutil.copy(models_dir() / "sdf" / "objects" / "sphere.sdf", folder / "robot.sdf")
-    train_lightly("allegro_right", play, folder / "runs" / "allegro_right", "geort")
+    train_lightly("allegro_right", play, folder / "runs" / "allegro_right.safetensors", "geort")
     return folder
 
 
@@ -192,15 +192,15 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
         assert {word.replace("_", "-") for word in words if word.startswith("--")} <= known
 
 
-TINY = {"steps": 3}
+TINY = LIGHT["geort"] | {"steps": 3}
 SETTINGS = " ".join(f"--set {name}={value}" for name, value in TINY.items())
 SHORT = "--scenario-text '{timeout: 0.3, monitor: {hold_time: 0.01}}'"
 CHAINS = yaml.safe_load(Path(__file__).with_name("commands.yaml").read_text("utf-8"))
 
 
-def tiny(hand, recording, path, method="geort_coupled", seed=0, device="cpu", settings=None, **_):
-    """`train_checkpoint` that hardly trains."""
-    return train_lightly(hand, recording, path, method, seed, **{**(settings or {}), **TINY})
+def tiny(hand, recording, method="geort", seed=0, device="cpu", settings=None, **_):
+    """`train_map` that hardly trains."""
+    return train_map(hand, recording, method, seed, settings=(settings or {}) | TINY, show_progress=False)
 
 
 @pytest.fixture(scope="module")
@@ -209,14 +209,14 @@ def tiny_work(light_desk, play, light_benchmark):
     plans = GraspPlanner(load_scenario(), load_hand("allegro_right")).plans(2)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison_train, "train_checkpoint", tiny)
+        patch.setattr(retargeting_train, "train_map", tiny)
         patch.setattr(GraspPlanner, "plans", lambda _: plans)  # no trial lasts long enough to follow one
         (light_desk / "work").mkdir()
         patch.chdir(light_desk / "work")
         np.save("hand.npy", play.p_HK.astype(float))
         play.save("hand.npz")
         synthesize_play(0, 0.3, 30.0).save("short.npz")
-        tiny("allegro_right", play, Path("tiny"))
+        train_lightly("allegro_right", play, Path("tiny.safetensors"), "geort")
         yield
     console.quiet = False
 

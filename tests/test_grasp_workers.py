@@ -16,14 +16,14 @@ from geort_drake.benchmark.log import TrialKey, key_of
 from geort_drake.benchmark.trials import Trial, simulate
 from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.errors import BenchmarkError
-from geort_drake.retargeting.methods import make_untrained
+from geort_drake.retargeting import METHODS
 from geort_drake.simulation.scenario import dump_scenario
 
 
 def trial(method: str, seed: int, scenario_text: str = TOO_SHORT) -> Trial:
     """A trial of a method that needs no training."""
     hand = allegro()
-    retarget = make_untrained(method, hand.kinematics(), hand.description.human_keypoints)
+    retarget = METHODS[method].fit(hand)
     text = dump_scenario(load_scenario(text=scenario_text))
     return Trial(
         TrialKey(method, 0, "grasp", "servo", "", "cylinder", 0, seed),
@@ -37,7 +37,7 @@ def trial(method: str, seed: int, scenario_text: str = TOO_SHORT) -> Trial:
 @pytest.fixture(scope="module")
 def short():
     """Two trials without contact, of a method without and one with a memory."""
-    return [trial("hold", 0), trial("vector_online", 1)]
+    return [trial("hold", 0), trial("anyteleop", 1)]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,7 @@ def results_of(trials: list[Trial], jobs: int, backend: str = "loky") -> tuple[s
 def test_other_processes_give_the_same_results(short, alone):
     """Bit for bit, with contacts and with a method that continues from its last answer."""
     quick = "operator: {peak_wrist_speed: 1.2, max_fingertip_speed: 1.5}"
-    grasp = trial("vector_online", 0, f"{{timeout: 3.8, {quick}}}")
+    grasp = trial("anyteleop", 0, f"{{timeout: 3.8, {quick}}}")
     touched = judged(simulate(grasp))
     # Small differences would grow in contact.
     assert {"TOUCH", "GRASP"} <= touched["phase_times"].keys() and touched["peak_force"] > 0.1
@@ -97,6 +97,7 @@ def test_a_worker_that_dies_is_told():
 def test_a_worker_loads_neither_torch_nor_plots_nor_rerun():
     code = (
         "import sys, geort_drake.benchmark.trials; "
+        "from geort_drake.retargeting import affine_ik, online, store; "
         "assert not {'torch', 'matplotlib', 'pandas', 'rerun'} & sys.modules.keys()"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -74,8 +74,8 @@ def test_a_package_is_kept_out_of_subpackages(package, subpackage):
     ("module", "packages"),
     [
         ("geort_drake", set()),
-        ("geort_drake.retargeting.retargeter", {"numpy", "safetensors"}),
-        ("geort_drake.retargeting.methods.online", {"numpy"}),
+        ("geort_drake.retargeting.store", {"numpy", "safetensors"}),
+        ("geort_drake.retargeting.online", {"numpy", "safetensors"}),
     ],
 )
 def test_a_light_module_loads_only_what_it_needs(module, packages):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drake import lcmt_allegro_command, lcmt_panda_command
-from faults.sound import checkpoint
+from faults.sound import map_file
 from live_messages import Clock, manus_glove, manus_words, nodes_of, own_fields
 from pydrake.lcm import DrakeLcm
 from system_bench import SystemBench
@@ -299,10 +299,10 @@ def test_messages_pass_over_a_transport(pattern):
 
 @pytest.fixture(scope="module")
 def station(tmp_path_factory):
-    """A folder with a recording and a checkpoint for the Allegro hand."""
+    """A folder with a recording and a map for the Allegro hand."""
     folder = tmp_path_factory.mktemp("live")
     synthesize_play(1, duration_s=20.0, rate_hz=60.0).save(folder / "hand.npz")
-    checkpoint(folder)
+    map_file(folder)
     return folder
 
 
@@ -356,7 +356,7 @@ def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
         ) as publisher,
         program(
             tmp_path, "live", "--glove", f"sub+{glove}", "--robot", address,
-            "--retargeter", str(station / "checkpoint"), "--engage", "now", "--relax-after", "0.5",
+            "--retargeter", str(station / "map.safetensors"), "--engage", "now", "--relax-after", "0.5",
             "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json"
         ) as teleoperation
     ):  # fmt: skip
@@ -378,7 +378,8 @@ def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
 def test_a_replay_drives_the_simulation(station, tmp_path):
     """In one process; Enter engages and disengages, and the glove's data are recorded."""
     with program(
-        tmp_path, "live", "--glove", str(station / "hand.npz"), "--retargeter", str(station / "checkpoint"),
+        tmp_path, "live", "--glove", str(station / "hand.npz"),
+        "--retargeter", str(station / "map.safetensors"),
         "--record", str(tmp_path / "kept.npz"), "--json", stdin=subprocess.PIPE
     ) as teleoperation:  # fmt: skip
         # The first Enter is there before the loop begins, so only the second one disengages.

@@ -30,7 +30,7 @@ from geort_drake.live.web.messages import decode
 from geort_drake.live.web.server import WebServer
 from geort_drake.people.formats.source import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
-from geort_drake.retargeting.methods import make_untrained
+from geort_drake.retargeting import METHODS
 
 PATIENCE_S = 120.0  # a busy machine takes long
 NO_PICTURES = "test/no_pictures.js"
@@ -132,7 +132,7 @@ def test_camera_sees_the_rendered_bones(filmed):
 
 def test_the_robot_pinches_when_the_film_does(filmed, allegro):
     messages, joints = filmed
-    retarget = make_untrained("dexpilot_online", allegro.kinematics())
+    retarget = METHODS["dexpilot"].fit(allegro)
     reader = HandReader("right")
     frames = [reader.read(decode(json.dumps(message))) for message in messages]
     gaps = np.linalg.norm(joints[:, 4] - joints[:, 9], axis=1)

@@ -15,7 +15,7 @@ import aiohttp
 import numpy as np
 import pytest
 import trimesh
-from faults.sound import checkpoint
+from faults.sound import map_file
 from live_messages import headset, hello, station
 from live_page import live_program
 from pydrake.geometry import Mesh, Sphere
@@ -280,8 +280,8 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
 @pytest.mark.slow
 def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
     """The command, driven by a page that sends a headset's joints; `grasp --replay` replays the recording."""
-    checkpoint(tmp_path)
-    with live_program(tmp_path, "--retargeter", str(tmp_path / "checkpoint")) as (program, address, key):
+    map_file(tmp_path)
+    with live_program(tmp_path, "--retargeter", str(tmp_path / "map.safetensors")) as (program, address, key):
         scenes = asyncio.run(_drive(f"{address}/ws?key={key}"))
         program.send_signal(signal.SIGINT)
         out, log = program.communicate(timeout=3 * PATIENCE_S)

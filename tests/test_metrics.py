@@ -9,11 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geort_drake import load_retargeter, synthesize_play
-from geort_drake.comparison import metrics
+from geort_drake.comparison import map_figures, metrics
 from geort_drake.comparison.metric_table import METRICS, mean, worst
 from geort_drake.errors import HandError
 from geort_drake.retargeting.clouds import voxel_thinned
-from geort_drake.retargeting.training import map_figures
 
 NAMES = ("thumb", "index", "middle")
 

@@ -1,4 +1,4 @@
-"""Methods of one's own: a Python file, how it is called, its faults; and a module of a trained method."""
+"""Methods of one's own: a Python file, how it is called, and its faults."""
 
 import copy
 import runpy
@@ -7,18 +7,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from grasp_setup import TOO_SHORT, allegro, person_who_plays, reach_goal
-from light_training import train_lightly
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
-from geort_drake import load_retargeter, load_scenario
+from geort_drake import load_scenario
 from geort_drake.benchmark import trials
 from geort_drake.benchmark.log import TrialKey
 from geort_drake.errors import MethodError
 from geort_drake.methods import measure_latency, names_of
 from geort_drake.own_method import OwnMethod
-from geort_drake.retargeting import methods
-from geort_drake.retargeting.checkpoint import load_checkpoint
 from geort_drake.simulation.scenario import dump_scenario
 
 DEX_EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
@@ -127,27 +124,3 @@ def test_a_method_of_another_package_answers(play):
     """dex-retargeting, by the example in the docs."""
     pytest.importorskip("dex_retargeting")
     OwnMethod(DEX_EXAMPLE, "allegro_right").check(play.p_HK[0])
-
-
-MODULE = """
-from geort_drake.retargeting.method import TrainedMethod
-from geort_drake.retargeting.methods.linear_offline import LinearConfig, train_linear_offline
-from geort_drake.retargeting.numpy_retargeter import Retargeter
-
-METHODS = (TrainedMethod("mine", "of a newcomer", LinearConfig, train_linear_offline, Retargeter),)
-"""
-
-
-@pytest.mark.usefixtures("light_evaluation")
-def test_one_module_adds_a_method(tmp_path, play, monkeypatch):
-    """It is listed, trained, stored and loaded under its name."""
-    (tmp_path / "newcomer.py").write_text(MODULE)
-    monkeypatch.setattr(methods, "__path__", [*methods.__path__, str(tmp_path)])
-    methods.all_methods.cache_clear()
-    try:
-        assert methods.trained_method("mine").summary == "of a newcomer"
-        path = train_lightly("allegro_right", play, tmp_path / "map", "mine")
-        assert load_checkpoint(path).config["method"] == "mine"
-        assert load_retargeter(path)(play.p_HK[:3]).shape == (3, 16)
-    finally:
-        methods.all_methods.cache_clear()

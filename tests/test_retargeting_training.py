@@ -1,130 +1,164 @@
-"""Algorithm 1 on a small hand whose right answer is known."""
+"""Algorithm 1 on a small hand whose right answer is known, and the torch networks."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 import torch
-from retargeting_toy import HAND, HUMAN, PLANTED, answers, toy_collides, toy_data
+from retargeting_toy import (
+    HAND,
+    HUMAN,
+    PLANTED,
+    ToyHand,
+    answers,
+    toy_collides,
+    toy_kinematics,
+    uneven_kinematics,
+)
 
 from geort_drake.errors import TrainingError, UnknownNameError
-from geort_drake.retargeting.methods.geort import PRESETS, GeortConfig, train_geort, training
-from geort_drake.retargeting.training.soap import Soap
+from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.geort import GeortConfig, NeuralKinematics, RetargetingModel, pretrain
+from geort_drake.retargeting.kinematics import fingertips
+from geort_drake.retargeting.train import check_fingertips, training_config
 
 QUICK = GeortConfig(
-    steps=200, points=64, targets=96, pinches=32, frames=32, hidden=32,
-    classifier_steps=150, kinematics_steps=50, refreshes=1,
+    steps=300, points=96, gestures=96, hidden=32, robot_samples=3000, pretraining_steps=300, cover_weight=40.0
 )  # fmt: skip
 
 
-@pytest.fixture(autouse=True)
-def short_refreshes(monkeypatch):
-    """Few steps of the classifier are enough for the toy hand."""
-    monkeypatch.setattr(training, "REFRESH_STEPS", 30)
-    monkeypatch.setattr(training, "REFRESH_SAMPLES", 300)
+def quick(human=HUMAN, seed=0, device="cpu", report=None, hand=HAND, **settings):
+    config = dataclasses.replace(QUICK, **settings)
+    return METHODS["geort"].fit(ToyHand(hand), human, seed=seed, config=config, device=device, report=report)
 
 
-def quick(human=HUMAN, seed=0, device="cpu", data=None, report=None, **settings):
-    data = toy_data(HAND, human, **data or {})
-    return train_geort(data, dataclasses.replace(QUICK, **settings), seed, device, report)
-
-
-def final(result, name):
+def final(retarget, name):
     """A loss at the end, averaged over the last tenth of the history."""
-    return np.mean([row[name] for row in result.history[-len(result.history) // 10 :]])
+    history = retarget.info["history"]
+    return np.mean([row[name] for row in history[-len(history) // 10 :]])
 
 
-def test_training_finds_the_planted_map():
+@pytest.mark.training
+@pytest.mark.parametrize("fk", ["neural", "exact"])
+def test_training_finds_the_planted_map(fk, training_seed, reaches):
     """A person who is a scaled robot can be followed: directions agree and the C-space is covered."""
-    result = quick(steps=250, pinch_weight=0.0, collision_weight=0.0)
-    first = result.history[0]
-    assert final(result, "direction") < -0.9
-    assert final(result, "coverage") < 0.2 * first["coverage"]
-    error = np.linalg.norm(answers(result.network) - PLANTED, axis=-1)
-    # An independent judge: the planted map is close to the one that was found, and was not shown.
-    assert np.median(error) < 0.015
+    weights = {"cover_weight": 200.0, "pinch_weight": 0.0, "collision_weight": 0.0}
+    retarget = quick(seed=training_seed, fk=fk, **weights)
+    reaches("direction", 1.0 + final(retarget, "direction") / len(HAND.fingers), 0.3)
+    reaches("cover", final(retarget, "cover") / retarget.info["history"][0]["cover"], 0.8)
+    # The planted map is an independent judge, which the training does not see.
+    error = np.linalg.norm(answers(retarget) - PLANTED, axis=-1)
+    reaches("error, m", float(np.median(error)), 0.03)
 
 
-def test_the_weight_of_a_criterion_lowers_its_loss():
+@pytest.mark.training
+def test_the_weight_of_a_criterion_lowers_its_loss(training_seed, reaches):
     """Each of the criteria II to V acts: with its weight its own loss ends lower than without."""
-    base = {"coverage_weight": 4.0, "flatness_weight": 0.0, "pinch_weight": 0.0, "collision_weight": 0.0}
-    # Coverage pulls at what flatness, pinch and collision hold back, so it is what they are compared to.
-    covering = quick(**base)
-    for criterion, weight in (("flatness", 100.0), ("pinch", 20.0), ("collision", 2.0)):
-        having = quick(**{**base, f"{criterion}_weight": weight})
-        assert final(having, criterion) < 0.7 * final(covering, criterion), criterion
-    free = quick(**{**base, "coverage_weight": 0.0})
-    assert final(covering, "coverage") < 0.7 * final(free, "coverage")
+    none = dict.fromkeys(("cover_weight", "flat_weight", "pinch_weight", "collision_weight"), 0.0)
+    free = quick(seed=training_seed, **none)
+    # Coverage pulls at what flatness, pinch and collision hold back, so it is what they are compared with.
+    covering = quick(seed=training_seed, **none | {"cover_weight": 200.0})
+    reaches("cover", final(covering, "cover") / final(free, "cover"), 1.0)
+    for criterion, weight in (("flat", 1e4), ("pinch", 1e4), ("collision", 3.0)):
+        weights = none | {"cover_weight": 200.0, f"{criterion}_weight": weight}
+        weighted = quick(seed=training_seed, **weights)
+        reaches(criterion, final(weighted, criterion) / final(covering, criterion), 1.0)
 
 
-def test_a_map_that_is_driven_into_its_limits_is_noticed():
-    """Its loss is finite and worse than at the start."""
-    with pytest.warns(RuntimeWarning, match=r"loss did not fall: \S+ at the start, \S+ at the end"):
-        quick(learning_rate=100.0)
+@pytest.mark.training
+def test_training_avoids_what_the_classifier_learned(training_seed, reaches):
+    """The share of colliding hands falls, although the classifier is fixed while the map trains."""
+
+    def colliding(weight):
+        weights = {"cover_weight": 200.0, "pinch_weight": 0.0, "collision_weight": weight}
+        retarget = quick(seed=training_seed, **weights)
+        return float(toy_collides(retarget(HUMAN)).mean())
+
+    reaches("colliding", colliding(3.0) / colliding(0.0), 0.8)
 
 
-def test_labels_of_own_outputs_reduce_collisions():
-    """A classifier that was taught that nothing collides learns better from the oracle."""
-
-    def colliding(collides):
-        data = {"labels": lambda: np.zeros(4000, dtype=bool), "collides": collides}
-        result = quick(data=data, collision_weight=3.0, refreshes=2)
-        with torch.no_grad():
-            return toy_collides(result.network(torch.tensor(HUMAN).float()).numpy()).mean()
-
-    assert colliding(toy_collides) < 0.5 * colliding(None)
-
-
-def test_the_choices_of_the_public_code_train():
-    """With neural kinematics, which report their error; progress is reported up to the last step."""
-    seen = []
-    settings = {**PRESETS["public"], "steps": 3, "kinematics_steps": 50, "points": 64, "targets": 64}
-    result = quick(report=lambda *given: seen.append(given), **settings)
-    errors = result.neural_kinematics
-    assert 0 < errors["mean_mm"] < errors["p95_mm"] < errors["max_mm"]
-    assert [step for step, *_ in seen] == [1, 2, 3] and seen[-1][1] == 3
-    assert {"direction", "coverage", "flatness", "pinch", "collision", "total"} <= set(seen[-1][2])
+@pytest.mark.training
+def test_neural_kinematics_learn_the_fingertips(training_seed, reaches):
+    """Held-out postures are within millimetres, of fingers with unlike numbers of joints, too."""
+    hand = uneven_kinematics()
+    q, held_out = (torch.tensor(ToyHand(hand).sample(3000, seed)).float() for seed in (0, 1))
+    p, generator = fingertips(hand, q), torch.Generator().manual_seed(training_seed)
+    FK = NeuralKinematics(hand, p, 32, generator)
+    config = dataclasses.replace(QUICK, pretraining_steps=600)
+    pretrain(FK, lambda x, y: ((x - y) / FK.scale).square().mean(), q, p, config, generator)
+    error = (FK(held_out) - fingertips(hand, held_out)).norm(dim=-1)
+    reaches("error, m", float(error.mean()), 0.006)
+    assert not any(parameter.requires_grad for parameter in FK.parameters())
 
 
-def test_unusable_input_is_refused_with_what_is_expected():
-    """Shape, NaN, a finger that does not move, no pinch, and bad devices."""
-    broken, still = HUMAN.copy(), HUMAN.copy()
-    broken[5, 1, 2] = np.nan
+@pytest.mark.parametrize("hand", [toy_kinematics(), uneven_kinematics()], ids=["even", "uneven"])
+def test_numpy_equals_torch(hand, rng):
+    """For any order and number of joints."""
+    tips = rng.normal(0.03, 0.05, (300, 3, 3))
+    model = RetargetingModel(
+        hand, list(rng.normal(0.03, 0.03, (3, 60, 3))), 64, torch.Generator().manual_seed(0)
+    )
+    retarget = model.retargeter(ToyHand(hand), [])
+    expected = model.double()(torch.tensor(tips)).numpy(force=True)
+    np.testing.assert_allclose(retarget(tips), expected, atol=1e-6)
+    np.testing.assert_allclose([retarget(tip) for tip in tips], retarget(tips), atol=1e-12)
+
+
+def test_the_seed_alone_decides_the_weights():
+    """To the last bit: global generators change nothing, other seeds do."""
+    runs = []
+    for seed, elsewhere in ((3, 0), (3, 1), (4, 0)):
+        torch.manual_seed(elsewhere)
+        np.random.seed(elsewhere)  # noqa: NPY002
+        runs.append(quick(seed=seed, steps=5, pretraining_steps=5).arrays)
+    for name in runs[0]:
+        np.testing.assert_array_equal(runs[0][name], runs[1][name])
+    assert np.abs(runs[0]["weight0"] - runs[2]["weight0"]).max() > 1e-3
+
+
+def test_progress_is_reported_up_to_the_last_step():
+    rows = []
+    retarget = quick(report=lambda *row: rows.append(row), steps=3, pretraining_steps=2)
+    assert [row[:2] for row in rows] == [(1, 3), (2, 3), (3, 3)]
+    assert [row for *_, row in rows] == retarget.info["history"]
+    assert rows[-1][2].keys() == {"step", "total", "direction", "cover", "flat", "pinch", "collision"}
+
+
+def test_a_loss_that_is_not_finite_ends_the_training():
+    with pytest.raises(TrainingError, match=r"not finite at step \d+ of 300; lower the learning rate"):
+        quick(learning_rate=1e30, pretraining_steps=1, fk="exact")
+
+
+def test_recordings_that_spoil_the_map_are_named_or_refused():
+    """A finger that does not move and no pinch at all are refused; a finger that never pinches is named."""
+    names = HAND.finger_names
+    still, apart, one = HUMAN.copy(), HUMAN + np.array([[0.0, 1, 0], [0, 2, 0], [0, 3, 0]]), HUMAN.copy()
     still[:, 1] = still[0, 1]
-    apart = HUMAN + np.array([[0.0, 1.0, 0.0], [0, 2.0, 0], [0, 3.0, 0]])
-    for given, message in (
-        (HUMAN[:, :2], r"shape \(T, 3, 3\) for thumb, index, middle"),
-        (broken, "must be finite"),
-        (still, "index tip visits only 1 places"),
-        (apart, "contains no pinch"),
+    one[:, 2] += [0.0, 1.0, 0.0]
+    for p_HF, message in ((still, "index tip visits only 1 places"), (apart, "contains no pinch")):
+        with pytest.raises(TrainingError, match=message):
+            check_fingertips(p_HF, names)
+    (sentence,) = check_fingertips(one, names)
+    assert "no pinch of the thumb with the middle" in sentence
+
+
+def test_unusable_settings_are_refused():
+    for name, value, message in (
+        ("points", "many", "points must be a number, it is 'many'"),
+        ("steps", 0, "steps must be at least 1, it is 0"),
+        ("pinch_weight", float("nan"), "pinch_weight must be at least 0, it is nan"),
     ):
         with pytest.raises(TrainingError, match=message):
-            quick(given)
-    with pytest.raises(TrainingError, match="points must be a number, it is 'many'"):
-        quick(points="many")
-    quick(apart, pinch_weight=0.0, steps=2)
-    with pytest.raises(UnknownNameError, match="cpu, cuda"):
-        quick(device="tpu")
+            training_config("geort", {name: value})
+    for call in (
+        lambda: training_config("geort", {"speed": 1}),
+        lambda: quick(fk="analytic"),
+        lambda: quick(device="tpu"),
+    ):
+        with pytest.raises(UnknownNameError):
+            call()
+    with pytest.raises(TrainingError, match="hold is not trained"):
+        training_config("hold")
     if not torch.cuda.is_available():
         with pytest.raises(TrainingError, match="no CUDA device"):
             quick(device="cuda")
-
-
-def test_gradients_are_clipped_together():
-    """A gradient a thousand times too long moves as one of the greatest length does, in all groups."""
-
-    def ends(factor):
-        parameters = [torch.nn.Parameter(torch.ones(2, 3, 4)), torch.nn.Parameter(torch.ones(1, 4))]
-        soap = Soap([{"params": [p], "weight_decay": 0.0} for p in parameters], lr=0.1, eps=1.0, clip=0.5)
-        generator = torch.Generator().manual_seed(0)
-        for _ in range(3):
-            gradients = [torch.randn(p.shape, generator=generator) for p in parameters]
-            length = torch.cat([g.flatten() for g in gradients]).norm()
-            for parameter, gradient in zip(parameters, gradients, strict=True):
-                parameter.grad = factor * 0.5 / length * gradient
-            soap.step()
-        return [p.detach() for p in parameters]
-
-    for clipped, longest, shorter in zip(ends(1000.0), ends(1.0), ends(0.5), strict=True):
-        torch.testing.assert_close(clipped, longest, atol=1e-5, rtol=0)
-        assert (shorter - longest).abs().max() > 1e-3

@@ -12,7 +12,7 @@ from loop_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 from system_bench import Bench
 
-from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
+from geort_drake.retargeting.trained_space import TrainedSpace
 from geort_drake.systems import glove_checks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import EASING, LIMITED, OUTSIDE, SETTLING, TRACKING
@@ -110,7 +110,7 @@ def test_a_fault_is_held_named_and_eased_out_of(fault, state):
 
 def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
     """Synthetic play of another seed is inside; the same hand 30 % larger is outside, and still followed."""
-    space = TrainedSpace(trained_points(PLAY.p_HK[:, list(TIPS)]), TIPS)
+    space = TrainedSpace.of_recording(PLAY.p_HK[:, list(TIPS)], TIPS)
     retarget = smooth_retargeter()
     retarget.trained_space = space
     bench = Bench(retarget, checks=AT_ONCE)

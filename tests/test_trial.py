@@ -20,7 +20,7 @@ from pydrake.math import RigidTransform
 from system_bench import SystemBench
 
 from geort_drake import Recording, run_trial, synthesize_play
-from geort_drake.retargeting.methods import make_untrained
+from geort_drake.retargeting import METHODS
 from geort_drake.simulation.free_play import keep_reached, persons_hand, seen_fingertips
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.operators.state import Phase
@@ -186,7 +186,7 @@ def test_free_play_shows_where_the_robots_fingertips_go():
     person = person_who_plays()
     seen = free_play().p_BF
     assert seen.std(axis=0).min() > 1e-3 and len(seen) == 900
-    still = seen_fingertips(make_untrained("hold", allegro().kinematics()), allegro(), person).p_BF
+    still = seen_fingertips(METHODS["hold"].fit(allegro()), allegro(), person).p_BF
     assert still.std(axis=0).max() < 1e-9
 
     def failing(_):

@@ -20,18 +20,16 @@ from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from geort_drake.benchmark.log import TRIALS, Row, TrialKey, TrialLog, key_of, read_rows
 from geort_drake.benchmark.trials import Trial, error_row, plan, simulate
 from geort_drake.benchmark.workers import call_in_workers
-from geort_drake.comparison.train import training_recording
 from geort_drake.console import warn
 from geort_drake.errors import BenchmarkError, MethodError, ScenarioError, UnknownNameError
 from geort_drake.files import digest_of, sha256_of, source_digest, write_text
 from geort_drake.hands.hand import Hand
-from geort_drake.methods import measure_latency, resolve
+from geort_drake.methods import is_trained, measure_latency, resolve
 from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
-from geort_drake.retargeting.checkpoint import WEIGHTS
-from geort_drake.retargeting.method import Retarget
-from geort_drake.retargeting.methods import trained_methods
+from geort_drake.retargeting.base import Retarget
+from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.free_play import after_play, keep_reached, persons_hand, seen_fingertips
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
 from geort_drake.simulation.scenario_files import check_scenario, load_scenario
@@ -204,7 +202,7 @@ class Benchmark:
                 for case in self.cases(variant, objects):
                     for person in persons if variant.condition == "" else [scenario.person]:
                         for method in methods:
-                            trained = self.settings.methods[method]["source"] in trained_methods()
+                            trained = is_trained(self.settings.methods[method]["source"])
                             for training in range(self.settings.trainings if trained else 1):
                                 keys.append(TrialKey(method, training, *variant, case, person, seed))
         return keys
@@ -305,11 +303,11 @@ class Benchmark:
     def _add_method(self, name: str, source: str) -> None:
         """Makes all trainings of a method, and measures its latency if it is not known."""
         entry = self.settings.methods.setdefault(name, {"source": source, "latency_s": None, "digests": []})
-        trainings = self.settings.trainings if source in trained_methods() else 1
+        trainings = self.settings.trainings if is_trained(source) else 1
         for number in range(trainings):
             retarget, path = resolve(source, self.hand, self.recording, self.settings.seed + number)
             self._maps[name, number] = retarget
-            digest = None if path is None else sha256_of(path / WEIGHTS if path.is_dir() else path)
+            digest = None if path is None else sha256_of(path)
             if number == len(entry["digests"]):
                 entry["digests"].append(digest)
             elif entry["digests"][number] != digest:

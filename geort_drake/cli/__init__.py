@@ -31,7 +31,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "recording synthesize": "synthesize",
         "recording capture": "capture",
     },
-    "train": {"train": "train", "pretrain": "pretrain", "refit": "refit"},
+    "train": {"train": "train"},
     "compare": {"evaluate": "evaluate", "explore": "explore", "benchmark": "benchmark"},
     "hands and data": {
         "hand add": "hand:AddHand",

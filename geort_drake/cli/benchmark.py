@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 # Methods that need no training.
 QUICK = {
-    "methods": ("universal", "vector_online", "dexpilot_online", "hold"),
+    "methods": ("universal", "anyteleop", "dexpilot", "hold"),
     "objects": ("cylinder", "sphere", "cube"),
     "trials": 2,
 }

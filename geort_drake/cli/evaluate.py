@@ -1,6 +1,6 @@
 """Compare retargeting methods by metrics on recordings of hands.
 
-geort-drake evaluate --recording alex.npy --methods geort vector_online --json table.json
+geort-drake evaluate --recording alex.npy --methods geort anyteleop --json table.json
 """
 
 import argparse
@@ -21,8 +21,8 @@ all methods and protocols:
   geort-drake evaluate --recording alex.npy --held-out 5 --score-on ben.npz --seeds 0 1 2 --json table.json
 
 K blocks need K more trainings per seed. Trainings are cached, so the same command resumes an interrupted run;
-only the scoring is repeated. --json is rewritten after each method. A checkpoint directory is scored by the
-protocols that fit its training.
+only the scoring is repeated. --json is rewritten after each method. A map is scored by the protocols
+that fit its training.
 
 Online methods start from rest in every recording and block, and process the frames in order. For metrics on
 unrecorded hands, they start at the nearest frame, and get the same hand until their output has settled.
@@ -37,7 +37,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--recording", type=Path, required=True, help="recording to train on")
     add("--held-out", type=int, metavar="K", help="also score on K held-out blocks, for example 5")
     add("--score-on", type=Path, nargs="+", metavar="FILE", help="also score on recordings of other people")
-    methods = "methods listed below, checkpoints or maps (default: all)"
+    methods = "methods listed below, or maps (default: all)"
     add("--methods", nargs="+", metavar="NAME", help=methods)
     seeds = "seeds of training and metrics; with several, shows mean and worst"
     add("--seeds", type=at_least(0), nargs="+", metavar="SEED", default=[0], help=seeds)

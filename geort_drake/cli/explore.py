@@ -1,6 +1,6 @@
 """Show retargeting methods side by side on a recorded hand, in Rerun.
 
-geort-drake explore --recording alex.npy --methods geort_coupled geort --output explore.rrd
+geort-drake explore --recording alex.npy --methods universal geort --output explore.rrd
 rerun explore.rrd
 """
 
@@ -22,7 +22,7 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--recording", type=Path, metavar="FILE", help="recording of a hand (default: synthetic play)")
     methods = "methods listed below, checkpoints or maps"
-    default = ["universal", "vector_online"]
+    default = ["universal", "anyteleop"]
     add("--methods", nargs="+", metavar="NAME", default=default, help=methods)
     output = "Rerun recording to write"
     add("--output", type=output_file(".rrd"), required=True, metavar="FILE.rrd", help=output)
@@ -37,9 +37,9 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.comparison.exploration import excerpt, response
     from geort_drake.comparison.explorer_recording import write_exploration
     from geort_drake.comparison.metrics import adapted
-    from geort_drake.comparison.train import training_recording
     from geort_drake.console import track
     from geort_drake.methods import names_of, resolve
+    from geort_drake.retargeting.train import training_recording
 
     if not 0.1 <= arguments.duration <= 600:
         raise UsageError(f"--duration must be from 0.1 to 600, not {arguments.duration:g}")

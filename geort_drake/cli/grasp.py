@@ -74,14 +74,13 @@ def add_arguments(parser: CommandParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, __version__, load_hand, run_trial
     from geort_drake.benchmark.trials import plan
-    from geort_drake.comparison.train import training_recording
     from geort_drake.console import print_table, progress_bar, say, track, warn
     from geort_drake.export.episode import RESULTS, SCENARIO
     from geort_drake.files import locked, write_text
     from geort_drake.methods import names_of, resolve
     from geort_drake.own_method import OwnMethod
-    from geort_drake.retargeting.checkpoint import load_checkpoint
-    from geort_drake.retargeting.retargeter import UniversalRetargeter
+    from geort_drake.retargeting.train import training_recording
+    from geort_drake.retargeting.universal import UniversalRetargeter
     from geort_drake.simulation.free_play import after_play, keep_reached, persons_hand, seen_fingertips
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks import find_task
@@ -123,7 +122,8 @@ def run(arguments: argparse.Namespace) -> int:
         properties |= {"checkpoint": str(checkpoint), "method": SHIPPED_METHOD}
     else:
         say(f"Retargeter:   {checkpoint}")
-        properties |= {"checkpoint": str(checkpoint), "method": load_checkpoint(checkpoint).config["method"]}
+        info = getattr(retarget, "info", {})
+        properties |= {"checkpoint": str(checkpoint), "method": info.get("method", method)}
 
     person = persons_hand(scenarios[0], recording)
     goals = {}

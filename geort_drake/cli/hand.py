@@ -135,7 +135,7 @@ class ListHands(Command):
         from geort_drake import load_hand
         from geort_drake.console import print_table
         from geort_drake.resources import hand_names
-        from geort_drake.retargeting.map_file import shipped_maps
+        from geort_drake.retargeting.store import shipped_maps
 
         require_json_file(self.json)
         maps, rows = shipped_maps(), []

@@ -35,7 +35,6 @@ def add_arguments(parser: CommandParser) -> None:
         "synthetic play; if the cache has none, training it takes minutes before anything moves)"
     )
     add("--retargeter", type=Path, help=trained)
-    add("--backend", default="numpy", choices=["numpy", "numba"], help="numba takes half the time per call")
     add("--glove-id", help="serial number of the MANUS glove, if a bridge sends several")
     add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once")
     add(
@@ -108,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         duration = min(duration, glove.duration)
     _warn_of_open_addresses(arguments.glove if receiver else None, address)
 
-    retarget = load(checkpoint_of(arguments, description), description, arguments.backend)
+    retarget = load(checkpoint_of(arguments, description), description)
     model = RobotModel(scenario, description)
     recorder = None
     if arguments.record:

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 from geort_drake.cli.options import scenario_of
-from geort_drake.comparison.train import cached_checkpoint
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
@@ -15,22 +14,24 @@ from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import SessionReport
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.people.play import synthesize_play
-from geort_drake.retargeting.map_file import shipped_maps
-from geort_drake.retargeting.retargeter import Retargeter, UniversalRetargeter, load_retargeter
+from geort_drake.retargeting.base import Retargeter
+from geort_drake.retargeting.store import load_retargeter, shipped_maps
 
 
 def checkpoint_of(arguments: argparse.Namespace, description: HandDescription) -> Path:
-    """Returns the requested checkpoint or map; by default the hand's universal map, else a trained one."""
+    """Returns the file of the requested map; by default the hand's universal map, else a trained one."""
     hand = scenario_of(arguments).hand
     if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
         return path
     say(f"no universal map is shipped for {hand}; using a map trained on synthetic play")
-    return cached_checkpoint(hand, synthesize_play(seed=0, side=description.side))
+    from geort_drake.retargeting.train import cached_map  # loads PyTorch
+
+    return cached_map(HandModel(description), synthesize_play(seed=0, side=description.side))
 
 
-def load(path: Path, description: HandDescription, backend: str) -> Retargeter | UniversalRetargeter:
-    """Loads the retargeter of a checkpoint or map."""
-    return load_retargeter(path, HandModel(description), backend)
+def load(path: Path, description: HandDescription) -> Retargeter:
+    """Loads a map for a hand."""
+    return load_retargeter(path, HandModel(description))
 
 
 def print_keys(keys: str) -> None:

@@ -65,7 +65,7 @@ def run_web(
             scenarios,
             description,
             model,
-            load(checkpoint, description, arguments.backend),
+            load(checkpoint, description),
             station,
             server,
             control,

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Copies of names from modules that import slowly, to keep --help fast; tests compare them.
 DEFAULT_HAND = "allegro_right"
 SIDES = ("left", "right")
-DEFAULT_METHOD = "geort_coupled"
+DEFAULT_METHOD = "geort"
 DEFAULT_SCENARIO = "Grasp"
 SHIPPED_METHOD = "universal"
 STDOUT = Path("-")
@@ -35,7 +35,6 @@ STDOUT = Path("-")
 RESULT_FILES = {
     "results.json": "grasp",
     "trials.jsonl": "benchmark",
-    "weights.safetensors": "train or refit",
     "episodes.parquet": "export",
     "meta/info.json": "export",
 }
@@ -126,24 +125,22 @@ class CommandParser(argparse.ArgumentParser):
 def methods_for(hand: str) -> tuple[str, ...]:
     """Returns all methods; the universal map only if one is shipped for the hand, a name or file."""
     from geort_drake.hands.description import load_hand
-    from geort_drake.retargeting.map_file import shipped_maps
-    from geort_drake.retargeting.methods import shipped_methods, trained_methods, untrained_methods
+    from geort_drake.retargeting import METHODS
+    from geort_drake.retargeting.store import shipped_maps
 
-    shipped = shipped_methods() if load_hand(hand).name in shipped_maps() else {}
-    return (*shipped, *trained_methods(), *untrained_methods())
+    shipped = load_hand(hand).name in shipped_maps()
+    return tuple(name for name in METHODS if shipped or name != SHIPPED_METHOD)
 
 
 def _list(name: str) -> str:
     """Returns the text for a placeholder of an epilog."""
     from geort_drake.people.formats import FORMATS
-    from geort_drake.retargeting.methods import shipped_methods, trained_methods, untrained_methods
+    from geort_drake.retargeting import METHODS
 
     if name == "{formats}":
         return "formats:\n" + "".join(f"  {name:16} {each.title}\n" for name, each in FORMATS.items())
-    methods: list = [*trained_methods().values()]
-    if name == "{methods}":
-        methods = [*shipped_methods().values(), *methods, *untrained_methods().values()]
-    return "methods:\n" + "".join(f"  {method.name:18} {method.summary}\n" for method in methods)
+    methods = {key: each for key, each in METHODS.items() if name == "{methods}" or each.is_trained}
+    return "methods:\n" + "".join(f"  {key:18} {each.summary}\n" for key, each in methods.items())
 
 
 # -- option types

@@ -1,33 +1,24 @@
-"""Train a retargeter for a robot hand on a recording of a person's hand.
+"""Train a map for a robot hand on a recording of a person's hand.
 
-geort-drake train --hand allegro_right --recording alex.npy --output runs/allegro_right
+geort-drake train --hand allegro_right --recording alex.npy --output runs/alex.safetensors
 """
 
 import argparse
-import json
+import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from geort_drake.cli.grasp import try_out
-from geort_drake.cli.options import (
-    DEFAULT_METHOD,
-    CommandParser,
-    at_least,
-    finish,
-    output_folder,
-    write_json,
-)
-from geort_drake.errors import TrainingError
+from geort_drake.cli.options import DEFAULT_METHOD, CommandParser, finish, output_file, write_json
 
 EPILOG = """\
 {trained methods}
 In the five minutes of a recording, the person should move every finger to its limits and pinch each with the
-thumb. The output directory is a checkpoint; geort_drake.load_retargeter(DIR) loads it.
+thumb. geort_drake.load_retargeter(FILE) loads the map.
 
-Exit codes: 0 success; 1 the loss became infinite or NaN, and the checkpoint contains the last good weights;
-2 the input is invalid, and nothing was written.
+Exit codes: 0 success; 2 the input is invalid or the loss is not finite, and nothing was written.
 """
 
 
@@ -35,70 +26,67 @@ def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     parser.add_hand()
     add("--recording", type=Path, help="recording of a human hand (default: five minutes of synthetic play)")
-    add("--output", type=output_folder, required=True, help="checkpoint directory to write or replace")
+    add("--output", type=output_file(".safetensors"), required=True, metavar="FILE", help="map to write")
     add("--method", metavar="NAME", default=DEFAULT_METHOD, help="method to train, one of those below")
-    public = "public: train geort with the settings of the authors' public code; --set takes precedence"
-    add("--preset", choices=["public"], help=public)
-    kinematics = "forward kinematics in training; neural as in the paper (default: exact)"
-    add("--fk", choices=["exact", "neural"], help=kinematics)
+    kinematics = "forward kinematics in the training of geort (default: neural, as in the paper)"
+    add("--fk", choices=["neural", "exact"], help=kinematics)
     parser.add_seed("robot samples, synthetic play, training and metrics")
     add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
     add("--steps", type=int, help="number of training steps (default: the method's)")
-    add("--robot-samples", type=at_least(1), default=100_000, help="number of random robot postures")
     setting = "change a setting of the method; repeatable; an unknown NAME lists all settings"
     add("--set", action="append", default=[], metavar="NAME=VALUE", help=setting)
     parser.add_json("the metrics")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import load_hand, train_checkpoint
-    from geort_drake.comparison.train import training_recording
-    from geort_drake.console import print_table, warn
-    from geort_drake.retargeting.checkpoint import METRICS, load_checkpoint
+    from geort_drake import HandModel, evaluate, load_hand, train_map
+    from geort_drake.console import print_table, progress_bar, warn
+    from geort_drake.retargeting.train import training_recording
 
-    description = load_hand(arguments.hand)
-    settings = _settings(arguments)
-    recording = training_recording(arguments.recording, description.side, arguments.seed)
+    hand, settings = HandModel(load_hand(arguments.hand)), _settings(arguments)
+    recording = training_recording(arguments.recording, hand.description.side, arguments.seed)
+    started = time.perf_counter()
     with warnings.catch_warnings():
-        # The checkpoint stores the warnings, which are shown below.
+        # The map stores the warnings, which are shown below.
         warnings.simplefilter("ignore", RuntimeWarning)
-        path = train_checkpoint(
-            arguments.hand,
+        retargeter = train_map(
+            hand,
             recording,
-            arguments.output,
-            method=arguments.method,
-            seed=arguments.seed,
-            device=arguments.device,
+            arguments.method,
+            arguments.seed,
+            arguments.device,
+            settings,
             show_progress=not arguments.quiet,
-            settings=settings,
-            robot_samples=arguments.robot_samples,
         )
-    provenance = load_checkpoint(path).provenance
-    metrics = json.loads((path / METRICS).read_text(encoding="utf-8"))
-    spent = provenance["timings"]["fit_s"]
+    spent = time.perf_counter() - started
+    with progress_bar(not arguments.quiet) as bars, bars.spinner("evaluation"):
+        metrics = evaluate(retargeter, hand, recording, arguments.seed)
+    metrics = {
+        "hand": hand.description.name,
+        "recording_sha256": recording.digest,
+        "seed": arguments.seed,
+        **metrics,
+    }
+    retargeter.info["metrics"] = metrics
+    retargeter.save(arguments.output)
     title = f"{arguments.method} on {metrics['hand']}, seed {arguments.seed}, {spent:.0f} s"
     print_table(("metric", "value"), metric_rows(metrics), title)
-    for text in provenance["warnings"]:
+    for text in retargeter.info["provenance"]["warnings"]:
         warn(text)
     write_json(arguments.json, metrics)
-    following = try_out(path, arguments.hand, arguments.recording)
-    finish({"Checkpoint": path}, following)
-    return 0 if provenance["training"]["stopped_at"] is None else 1
+    finish({"Map": arguments.output}, try_out(arguments.output, arguments.hand, arguments.recording))
+    return 0
 
 
 def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Returns the method's settings from --preset, --set, --steps and --fk; later ones take precedence."""
-    from geort_drake.comparison.train import training_config
-    from geort_drake.retargeting.methods.geort import PRESETS
+    """Returns the method's settings from --set, --steps and --fk; later ones take precedence."""
+    from geort_drake.retargeting.train import training_config
     from geort_drake.settings import parse_settings
 
-    method = arguments.method
-    config = training_config(method)
-    if arguments.preset is not None and method != "geort":
-        raise TrainingError(f"--preset {arguments.preset} is a preset of geort, not of {method}")
-    settings = dict(PRESETS[arguments.preset]) if arguments.preset else {}
-    settings |= parse_settings(arguments.set, config, method)
+    config = training_config(arguments.method)
+    settings = parse_settings(arguments.set, config, arguments.method)
     settings |= {name: value for name in ("steps", "fk") if (value := getattr(arguments, name)) is not None}
+    training_config(arguments.method, settings)  # refuses values before the recording is read
     return settings
 
 
@@ -120,6 +108,3 @@ def metric_rows(metrics: dict) -> Iterator[tuple[str, str]]:
     yield "false pinches", text("{:.2%}", pinch["false"])
     yield "self-collision over 2 mm", text("{:.1%}", metrics["self_collision"])
     yield "latency, median / p99", text("{:.0f}", *metrics["latency_us"].values()) + " µs"
-    if neural := metrics.get("neural_kinematics"):
-        errors = text("{:.2f}", neural["mean_mm"], neural["p95_mm"], neural["max_mm"])
-        yield "neural kinematics' error, mean / p95 / max", f"{errors} mm"

@@ -20,10 +20,9 @@ from geort_drake.errors import CheckpointError, GeortError, RecordingError
 from geort_drake.files import finite_json
 from geort_drake.hands.model import HandModel
 from geort_drake.methods import PYTHON_SUFFIX, resolve
-from geort_drake.retargeting.checkpoint import load_checkpoint
-from geort_drake.retargeting.map_file import SUFFIX
-from geort_drake.retargeting.methods import all_methods
-from geort_drake.retargeting.methods.online import VectorOnline
+from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.online import AnyTeleop
+from geort_drake.retargeting.store import load_retargeter
 
 
 @dataclass(frozen=True)
@@ -57,7 +56,7 @@ class Comparison:
     """Evaluates methods one by one under the same protocols.
 
     An online method gets the recorded frames in order, from rest. Metrics of hands that were not recorded use
-    its stationary outputs; see `VectorOnline.settled_map`. A universal map gets only the first second of the
+    its stationary outputs; see `AnyTeleop.settled_map`. A universal map gets only the first second of the
     scored recording to learn the person.
 
     Args:
@@ -142,7 +141,7 @@ class Comparison:
             raise RecordingError(f"{case.part}: {len(frames)} valid frames, at least {MIN_FRAMES} are needed")
         retarget = self._retargeter(name, protocol, case, seed)
         settled = None
-        if isinstance(retarget, VectorOnline):
+        if isinstance(retarget, AnyTeleop):
             settled = retarget.settled_map(frames)
             retarget.reset()
         metrics, p_BF = evaluate_frames(
@@ -157,8 +156,8 @@ class Comparison:
         return Evaluation(finite_json(metrics), settled is not None, frames, p_BF)
 
     def _retargeter(self, name: str, protocol: Protocol, case: Case, seed: int) -> Callable:
-        if name not in all_methods() and Path(name).suffix not in (SUFFIX, PYTHON_SUFFIX):
-            _check_checkpoint(name, protocol, case)
+        if name not in METHODS and Path(name).suffix != PYTHON_SUFFIX:
+            _check_training(name, protocol, case)
         retarget, _ = resolve(name, self.hand, case.trained_on, seed)
         return adapted(retarget, case.scored_on)
 
@@ -169,13 +168,14 @@ class Comparison:
         return self._spaces[seed]
 
 
-def _check_checkpoint(name: str, protocol: Protocol, case: Case) -> None:
-    """Raises CheckpointError unless the training of a checkpoint fits the protocol."""
+def _check_training(name: str, protocol: Protocol, case: Case) -> None:
+    """Raises CheckpointError unless the training of a map of one person fits the protocol."""
+    recording = load_retargeter(name).info.get("provenance", {}).get("recording")
+    if recording is None:
+        return  # a universal map
     if protocol.name == HELD_OUT:
-        raise CheckpointError(
-            f"{name}: a checkpoint cannot be trained without the block; name its method instead"
-        )
-    known = load_checkpoint(name).provenance["recording"]["sha256"] == case.scored_on.digest
+        raise CheckpointError(f"{name}: a map cannot be trained without the block; name its method instead")
+    known = recording["sha256"] == case.scored_on.digest
     if protocol.name == SAME_PERSON and not known:
         raise CheckpointError(
             f"{name}: was trained on another recording than {case.part}; give that one to --recording, "

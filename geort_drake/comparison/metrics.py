@@ -11,12 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geort_drake.errors import HandError, RecordingError
-from geort_drake.hands.hand import canonical_kinematics
-from geort_drake.hands.model import HandModel
-from geort_drake.people.recording import PINCH_M, Recording
-from geort_drake.retargeting.clouds import voxel_thinned
-from geort_drake.retargeting.training.map_figures import (
+from geort_drake.comparison.map_figures import (
     HUMAN_VOXEL,
     ROBOT_SAMPLES,
     FingertipMap,
@@ -30,6 +25,12 @@ from geort_drake.retargeting.training.map_figures import (
     pinched_distances,
     robot_voxels,
 )
+from geort_drake.errors import HandError, RecordingError
+from geort_drake.hands.hand import canonical_kinematics
+from geort_drake.hands.model import HandModel
+from geort_drake.people.recording import PINCH_M, Recording
+from geort_drake.retargeting.clouds import voxel_thinned
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.universal import UniversalRetargeter
 
 MIN_FRAMES = 10
@@ -163,10 +164,7 @@ def evaluate_frames(
 
 def fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
     """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m, mirrored for a left hand."""
-    import torch  # takes a second
-
-    kinematics = canonical_kinematics(hand)
-    return lambda q: kinematics.fingertips(torch.from_numpy(q)).numpy()
+    return NumpyKinematics(canonical_kinematics(hand)).fingertips
 
 
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:

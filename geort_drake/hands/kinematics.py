@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
@@ -73,8 +72,8 @@ class HandKinematics:
         return tuple(finger.name for finger in self.fingers)
 
     def fingertips(self, q: Any) -> Any:
-        """Computes fingertips of torch tensors, see `retargeting.training.kinematics.fingertips`."""
-        torch_kinematics = importlib.import_module("geort_drake.retargeting.training.kinematics")
+        """Computes fingertips of torch tensors, see `retargeting.kinematics.fingertips`."""
+        torch_kinematics = importlib.import_module("geort_drake.retargeting.kinematics")
         return torch_kinematics.fingertips(self, q)
 
     def joint_poses(self, q: np.ndarray) -> np.ndarray:
@@ -82,6 +81,8 @@ class HandKinematics:
 
         Of a hand without couplings, see `uncoupled`.
         """
+        from scipy.spatial.transform import Rotation  # online retargeting works without SciPy
+
         X_BJ = np.empty((len(self.joint_names), 4, 4))
         for finger in self.fingers:
             X = np.eye(4)

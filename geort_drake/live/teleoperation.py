@@ -12,7 +12,7 @@ from geort_drake.live.delay import DelayMeter
 from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
-from geort_drake.retargeting.method import Retarget
+from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.monitor import Outcome
 from geort_drake.simulation.scenario import Scenario

@@ -3,14 +3,10 @@
 This is the counterpart of `HandKinematics` for methods that optimise at run time without torch.
 """
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.rotations import cross_matrices
-
-if TYPE_CHECKING:
-    from geort_drake.retargeting.training.kinematics import HandKinematics
 
 # Joint limits of many turns are mistakes and could cause overflow.
 MAX_ANGLE = 100.0  # rad
@@ -27,7 +23,7 @@ class NumpyKinematics:
         p_BW: (3,) the hand's wrist in its base, m.
     """
 
-    def __init__(self, kinematics: "HandKinematics"):
+    def __init__(self, kinematics: HandKinematics):
         """Takes the hand's kinematics, from `HandModel.kinematics()` for example."""
         self.finger_names, self.joint_names = kinematics.finger_names, kinematics.joint_names
         self.lower, self.upper = kinematics.lower, kinematics.upper

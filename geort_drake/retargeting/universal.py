@@ -6,18 +6,18 @@ import numpy as np
 
 from geort_drake.errors import CheckpointError, GeortError
 from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
-from geort_drake.retargeting.methods.coupled.retargeter import CoupledRetargeter
-from geort_drake.retargeting.numpy_retargeter import checked_array
+from geort_drake.retargeting.base import Retargeter, require_array
+from geort_drake.retargeting.mlp import MlpRetargeter
 from geort_drake.retargeting.person_code import CODE_PARTS, CODE_SIZE, AveragePerson, observe
 from geort_drake.retargeting.person_observer import MIN_BONE
-from geort_drake.retargeting.trained_space import TrainedSpace, trained_points
+from geort_drake.retargeting.trained_space import TrainedSpace
 
 PINCH_UNIT = 0.05  # m; unit of the vectors between the thumb's tip and the others
 MAX_DEVIATION = 3.0  # standard deviations from the average person to which a code is clamped
 _UNUSUAL = 4.0  # standard deviations beyond which a code is reported
 
 
-class UniversalRetargeter:
+class UniversalRetargeter(Retargeter):
     """Maps the hands of any person to robot joint angles; needs only NumPy.
 
     A call computes the person's code from the given frames. `for_person` makes a map for one person, which is
@@ -29,11 +29,9 @@ class UniversalRetargeter:
         human_keypoints: numbers of the F keypoints that are the human fingertips.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
         average: the average person, the prior of the codes.
-        backend: backend of the maps for one person; see `load_retargeter`.
-        robot_hands: as in `Retargeter`.
     """
 
-    robot_hands: tuple[str, ...] = ()
+    kind = "universal"
 
     def __init__(
         self,
@@ -43,7 +41,6 @@ class UniversalRetargeter:
         human_keypoints: Sequence[int],
         lower: np.ndarray,
         upper: np.ndarray,
-        backend: str = "numpy",
     ):
         """Builds the map from its weights.
 
@@ -53,19 +50,16 @@ class UniversalRetargeter:
                 code_weight1 (m, m), code_bias1 (m,); input_mean and input_scale (F, 3) of the inputs;
                 input_weight (m, 12 F), input_bias (12 F,);
                 modulation_weight (4, F, m, h), modulation_bias (4, F, h); residual_modulation_weight
-                (2, m, r), residual_modulation_bias (2, r); and those of `CoupledRetargeter`, whose
+                (2, m, r), residual_modulation_bias (2, r); and those of `MlpRetargeter`, whose
                 residual_weight0 is (3 F + 3 (F − 1), r).
             finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`; one finger must be
                 the thumb.
-            backend: "numpy" or "numba".
 
         Raises:
             CheckpointError: as in `Retargeter`, or a finger is unknown, or there is no thumb.
         """
-        self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
-        self.human_keypoints = tuple(human_keypoints)
-        self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-        self.backend = backend
+        super().__init__(finger_names, joint_names, human_keypoints, lower, upper)
+        self.arrays = arrays
         if unknown := [name for name in finger_names if name not in TIP_KEYPOINT]:
             raise CheckpointError(
                 f"finger_names: unknown {unknown[0]!r}; known are {', '.join(TIP_KEYPOINT)}"
@@ -82,10 +76,10 @@ class UniversalRetargeter:
 
     def _check(self) -> None:
         fingers, numbers = len(self.finger_names), CODE_SIZE * len(self.finger_names)
-        units = checked_array(self._arrays, "code_weight0", (numbers, -1)).shape[1]
-        hidden = checked_array(self._arrays, "weight0", (fingers, 3, -1)).shape[2]
+        units = require_array(self._arrays, "code_weight0", (numbers, -1)).shape[1]
+        hidden = require_array(self._arrays, "weight0", (fingers, 3, -1)).shape[2]
         inputs = 3 * fingers + 3 * (fingers - 1)
-        residual = checked_array(self._arrays, "residual_weight0", (inputs, -1)).shape[1]
+        residual = require_array(self._arrays, "residual_weight0", (inputs, -1)).shape[1]
         shapes: dict[str, tuple[int, ...]] = {
             "reach_mean": (fingers, 3),
             "reach_covariance": (fingers, 3, 3),
@@ -109,7 +103,7 @@ class UniversalRetargeter:
             "residual_bias0": (residual,),
         }
         for name, shape in shapes.items():
-            checked_array(self._arrays, name, shape)
+            require_array(self._arrays, name, shape)
         for name in ("code_deviation", "input_scale", "reach_weights"):
             if not (self._arrays[name] > 0).all():
                 raise CheckpointError(f"weights: '{name}' must be positive")
@@ -133,7 +127,10 @@ class UniversalRetargeter:
         p_HK = np.asarray(p_HK, dtype=float)
         return self.folded(self.code(p_HK))(p_HK)
 
-    def for_person(self, p_HK: np.ndarray) -> CoupledRetargeter:
+    def _angles(self, p_HF: np.ndarray) -> np.ndarray:
+        raise NotImplementedError  # a call needs whole hands
+
+    def for_person(self, p_HK: np.ndarray) -> MlpRetargeter:
         """Returns the map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m.
 
         Its `trained_space` contains the positions of the fingertips in these frames.
@@ -145,7 +142,7 @@ class UniversalRetargeter:
         retargeter = self.folded(self.code(p_HK))
         keypoints = list(self.human_keypoints)
         p_HF = p_HK.reshape(-1, KEYPOINT_COUNT, 3)[:, keypoints]
-        retargeter.trained_space = TrainedSpace(trained_points(p_HF), keypoints)
+        retargeter.trained_space = TrainedSpace.of_recording(p_HF, keypoints)
         return retargeter
 
     def code(self, p_HK: np.ndarray) -> np.ndarray:
@@ -193,12 +190,12 @@ class UniversalRetargeter:
             f"to {MAX_DEVIATION:g}"
         )
 
-    def folded(self, code: np.ndarray) -> CoupledRetargeter:
+    def folded(self, code: np.ndarray) -> MlpRetargeter:
         """Returns the map of the person with this code (15 F,).
 
         The code acts through affine functions before the activations, so it folds into the weights.
         """
-        retargeter = CoupledRetargeter(
+        retargeter = MlpRetargeter(
             self.folded_arrays(code),
             self.finger_names,
             self.joint_names,
@@ -207,8 +204,6 @@ class UniversalRetargeter:
             self.upper,
         )
         retargeter.robot_hands = self.robot_hands
-        if self.backend == "numba":
-            retargeter.compile()
         return retargeter
 
     def folded_arrays(self, code: np.ndarray) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
 from geort_drake.errors import HandError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
-from geort_drake.retargeting.method import Retarget
+from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, add_robot
 from geort_drake.systems.action_correction import ActionCorrection

@@ -21,7 +21,7 @@ HANGING = 280.0  # s; one that lasts longer hangs as well, as it waits for somet
 _FORK = multiprocessing.get_context("forkserver")
 _FORK.set_forkserver_preload(
     [
-        "geort_drake.comparison.train",
+        "geort_drake.retargeting.geort",
         "geort_drake.benchmark.report",
         "geort_drake.simulation.trial",
         "geort_drake.rerun",

@@ -12,17 +12,14 @@ from glove_files import WRITERS, moving
 from hand_family import HandSpec, write_hand
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
 
-from faults.sound import checkpoint
+from faults.sound import map_file
 from geort_drake import HandModel, load_retargeter, load_scenario
-from geort_drake.files import sha256_of
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.live.messages import decode
 from geort_drake.live.robot_buses import ALLEGRO, PANDA
 from geort_drake.people.checks import examine
 from geort_drake.people.readers import open_recording
-from geort_drake.retargeting.checkpoint import CONFIG as CHECKPOINT_CONFIG
-from geort_drake.retargeting.checkpoint import DIGESTED
 from geort_drake.simulation.tasks import find_task
 
 FRAMES = 60  # of a recording: enough to be one, and read quickly
@@ -46,7 +43,7 @@ class Reader:
 
 def sound_inputs(folder: Path) -> list[Reader]:
     """Writes a valid input of every kind into a folder, and reads each."""
-    readers = [*_recordings(folder), *_checkpoints(folder), *_descriptions(folder), *_messages(folder)]
+    readers = [*_recordings(folder), *_maps(folder), *_descriptions(folder), *_messages(folder)]
     for reader in readers:
         reader.read(reader.path)
     return readers
@@ -63,11 +60,8 @@ def _recordings(folder: Path) -> list[Reader]:
     return readers
 
 
-def _checkpoints(folder: Path) -> list[Reader]:
-    stored = checkpoint(_room(folder, "checkpoint"))
-    return [
-        Reader(f"checkpoint {name}", stored / name, retargeter) for name in (CHECKPOINT_CONFIG, *DIGESTED)
-    ]
+def _maps(folder: Path) -> list[Reader]:
+    return [Reader("map", map_file(_room(folder, "map")), retargeter)]
 
 
 def _descriptions(folder: Path) -> list[Reader]:
@@ -110,17 +104,7 @@ def recording_folder(path: Path) -> None:
 
 
 def retargeter(path: Path) -> None:
-    """Loads a checkpoint, after its digest was made to agree with the changed file."""
-    config = path.with_name(CHECKPOINT_CONFIG)
-    kept = config.read_bytes()
-    try:
-        if path != config:
-            stored = json.loads(kept)
-            stored["sha256"][path.name] = sha256_of(path)
-            config.write_text(json.dumps(stored))
-        q = load_retargeter(path.parent)(np.zeros((21, 3)))
-    finally:
-        config.write_bytes(kept)
+    q = load_retargeter(path)(np.zeros((21, 3)))
     assert np.isfinite(q).all(), "a retargeter that gives what is not finite"
 
 

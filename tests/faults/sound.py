@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from grasp_setup import allegro
 
-from geort_drake import Recording, Retargeter, synthesize_play
-from geort_drake.retargeting.checkpoint import TRAINED_POINTS, save_checkpoint
-from geort_drake.retargeting.trained_space import trained_points
+from geort_drake import Recording, synthesize_play
+from geort_drake.retargeting.mlp import MlpRetargeter
+from geort_drake.retargeting.trained_space import TrainedSpace
 
 TIPS = (4, 8, 12, 16)
 FINGERS = ("thumb", "index", "middle", "ring")
@@ -38,33 +38,23 @@ def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:
     }
 
 
-def smooth_retargeter(gain: float = 1.0, tips: tuple = TIPS) -> Retargeter:
+def smooth_retargeter(gain: float = 1.0, tips: tuple = TIPS) -> MlpRetargeter:
     """The map of `smooth_arrays`, for a hand of `JOINTS`."""
-    return Retargeter(smooth_arrays(gain), FINGERS, JOINTS, tips, LOWER, UPPER)
+    return MlpRetargeter(smooth_arrays(gain), FINGERS, JOINTS, tips, LOWER, UPPER)
 
 
-def checkpoint(folder: Path, name: str = "checkpoint", with_points: bool = True, **changes) -> Path:
-    """Writes a checkpoint of that map for the Allegro hand; `changes` are to what is stored with it.
-
-    Without the points that it was trained on it is one of an earlier version.
-    """
+def map_file(folder: Path, name: str = "map.safetensors", **info) -> Path:
+    """Writes that map for the Allegro hand, with its trained space; `info` changes what is stored with it."""
     hand = allegro()
-    points = {TRAINED_POINTS: trained_points(play().p_HK[:, list(TIPS)].astype(float))}
-    stored = {
+    names = hand.finger_names, hand.joint_names
+    retargeter = MlpRetargeter(smooth_arrays(), *names, TIPS, hand.lower, hand.upper)
+    retargeter.robot_hands = (hand.description.name,)
+    retargeter.trained_space = TrainedSpace.of_recording(play().p_HK[:, list(TIPS)].astype(float), TIPS)
+    retargeter.info = {
         "method": "geort",
-        "hand": {
-            "name": hand.description.name,
-            "finger_names": list(hand.finger_names),
-            "joint_names": list(hand.joint_names),
-            "lower": hand.lower.tolist(),
-            "upper": hand.upper.tolist(),
-            "model_sha256": hand.digest,
-        },
-        "human_keypoints": TIPS,
-        "training": {},
-        "provenance": {"warnings": []},
+        "config": {},
+        "provenance": {"hands": {hand.description.name: hand.digest}, "warnings": []},
         "history": [{"step": 0, "total": 1.0}],
-    }
-    return save_checkpoint(
-        folder / name, smooth_arrays() | (points if with_points else {}), **(stored | changes)
-    )
+    } | info
+    retargeter.save(folder / name)
+    return folder / name

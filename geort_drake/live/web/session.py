@@ -19,7 +19,7 @@ from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
-from geort_drake.retargeting.method import Retarget
+from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task

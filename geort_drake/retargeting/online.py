@@ -1,22 +1,21 @@
-"""Methods that optimise joint angles at every frame: AnyTeleop's vectors and DexPilot.
+"""AnyTeleop and DexPilot: Eq. 1 of the GeoRT paper, solved at every frame.
 
-Both solve Eq. 1 of the GeoRT paper with hand-tuned scale, weights and task vectors. They start from the joint
-angles of the previous frame and are regularised towards them, so results depend on the past.
+min over q of  Σ_i w_i h(|v_R^i(q) − v*^i|) / V  +  NORM_DELTA · |q − q_previous|²,  lower ≤ q ≤ upper
+
+with h the Huber function of PyTorch's SmoothL1 (x² / 2δ below δ, x − δ/2 above). A task vector goes from the
+wrist or a fingertip to a fingertip; its target is the person's, scaled by hand-tuned settings. The
+regularisation towards the previous joint angles makes results depend on the past.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from geort_drake.errors import HandError
-from geort_drake.retargeting.human_points import HumanPoints
-from geort_drake.retargeting.method import UntrainedMethod
-from geort_drake.retargeting.methods.task_vectors import WRIST, TaskVectors
+from geort_drake.hands.kinematics import HandKinematics
+from geort_drake.retargeting.base import Retargeter, keypoints_of, kinematics_of
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-
-if TYPE_CHECKING:
-    from geort_drake.retargeting.training.kinematics import HandKinematics
 
 SCALE = 1.6  # α, robot over human, from dex-retargeting's settings for the Allegro hand
 NORM_DELTA = 4e-3  # 1/rad², regularisation towards the previous joint angles
@@ -24,27 +23,19 @@ NORM_DELTA = 4e-3  # 1/rad², regularisation towards the previous joint angles
 PROJECT, ESCAPE = 0.03, 0.05
 PINCH_DISTANCE, APART_DISTANCE = 1e-4, 3e-2  # m, η1 and η2: lengths of projected vectors to thumb and fingers
 PINCH_WEIGHT, APART_WEIGHT = 200.0, 400.0  # of projected vectors
-CHUNK = 1024  # hands that are evaluated at a time, so that their data fit the cache
+WRIST = -1  # origin of a task vector that starts at the wrist
+TOLERANCE, ITERATIONS = 1e-4, 60  # rad, largest last step; maximum number of steps
 
 
-class VectorOnline:
+class AnyTeleop(Retargeter):
     """AnyTeleop's retargeting (Qin et al. 2023): scaled vectors from the wrist to every fingertip.
 
     Stateful: a call continues from the previous one, and a batch is a sequence of frames. Not thread-safe.
-
-    Attributes:
-        finger_names: F fingers, in the order of the inputs.
-        joint_names: n joints, in the order of the outputs.
-        lower, upper: (n,) joint limits, rad; outputs are always inside.
     """
 
     huber_delta = 0.02  # m
 
-    def __init__(
-        self,
-        kinematics: "HandKinematics",
-        human_keypoints: Sequence[int] | None = None,
-    ):
+    def __init__(self, kinematics: HandKinematics, human_keypoints: Sequence[int] | None = None):
         """Makes a retargeter at rest.
 
         Args:
@@ -55,24 +46,22 @@ class VectorOnline:
             UnknownNameError: a finger's name has no keypoint.
             HandError: the hand lacks fingers that the method needs.
         """
-        self.kinematics = NumpyKinematics(kinematics)
-        self.finger_names, self.joint_names = self.kinematics.finger_names, self.kinematics.joint_names
-        self.lower, self.upper = self.kinematics.lower, self.kinematics.upper
-        self._points = HumanPoints(self.finger_names, human_keypoints)
-        self._vectors = TaskVectors(self.kinematics, self._pairs(), self.huber_delta, NORM_DELTA)
+        self.kinematics = hand = NumpyKinematics(kinematics)
+        super().__init__(hand.finger_names, hand.joint_names, human_keypoints, hand.lower, hand.upper)
+        self._vectors = TaskVectors(hand, self._pairs(), self.huber_delta, NORM_DELTA)
         self.reset()
+
+    @classmethod
+    def fit(cls, hand: Any, p_HF: np.ndarray | None = None, **_options: Any) -> "AnyTeleop":
+        """Makes the retargeter of a hand; see `Method.fit`."""
+        return cls(kinematics_of(hand), keypoints_of(hand))
 
     def reset(self) -> None:
         """Resets the state: joints in the middle of their ranges, no vector projected."""
         self._q = 0.5 * (self.lower + self.upper)
-        self._answer: np.ndarray | None = None
         self._projected = np.zeros(len(self._vectors.pairs), dtype=bool)
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Computes joint angles, rad, for successive hands; arguments and errors as for `Retargeter`."""
-        p_HF = self._points(points)
-        if p_HF.ndim == 2:
-            return self._step(p_HF)
+    def _angles(self, p_HF: np.ndarray) -> np.ndarray:
         return np.array([self._step(row) for row in p_HF]).reshape(len(p_HF), len(self.joint_names))
 
     def settled_map(self, frames: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -87,9 +76,9 @@ class VectorOnline:
         Returns:
             A function from (N, F, 3) to joint angles (N, n).
         """
-        from scipy.spatial import cKDTree
+        from scipy.spatial import cKDTree  # the robot's computer may lack SciPy
 
-        frames = self._points(frames)
+        frames = self.fingertips(frames)
         self.reset()
         q, projected = [], []
         for frame in frames:
@@ -100,12 +89,8 @@ class VectorOnline:
         tree = cKDTree(frames.reshape(len(frames), -1))
 
         def settled(p_HF: np.ndarray) -> np.ndarray:
-            answers = np.empty((len(p_HF), len(self.joint_names)))
-            for first in range(0, len(p_HF), CHUNK):
-                hands = p_HF[first : first + CHUNK]
-                _, nearest = tree.query(hands.reshape(len(hands), -1))
-                answers[first : first + CHUNK] = self.settle(hands, *(state[nearest] for state in states))
-            return answers
+            _, nearest = tree.query(p_HF.reshape(len(p_HF), -1))
+            return self.settle(p_HF, *(state[nearest] for state in states))
 
         return settled
 
@@ -130,9 +115,7 @@ class VectorOnline:
         previous = self._q[None]
         self._q = self._vectors.solve(targets, weights, previous, previous)[0]
         self._projected = projected[0]
-        # a + (q − a) instead of q reproduces published figures bit for bit.
-        self._answer = self._q if self._answer is None else self._answer + (self._q - self._answer)
-        return np.clip(self._answer, self.lower, self.upper)
+        return self._q
 
     def _pairs(self) -> list[tuple[int, int]]:
         return [(WRIST, finger) for finger in range(len(self.finger_names))]
@@ -143,7 +126,7 @@ class VectorOnline:
         return targets, np.ones(targets.shape[:2]), projected
 
 
-class DexPilotOnline(VectorOnline):
+class DexPilot(AnyTeleop):
     """DexPilot's retargeting (Handa et al. 2020), which gives priority to distances between fingertips.
 
     It uses vectors between the thumb and each finger (S1), between these fingers (S2) and from the wrist.
@@ -191,11 +174,105 @@ class DexPilotOnline(VectorOnline):
         return targets, weights, near
 
 
-def _make(method: type[VectorOnline]) -> Callable:
-    return lambda kinematics, human_keypoints, _frames, _seed: method(kinematics, human_keypoints)
+class TaskVectors:
+    """Vectors between the wrist and fingertips of a hand, and their inverse kinematics.
 
+    Attributes:
+        pairs: V pairs (origin, tip) of finger numbers; the origin may be WRIST.
+    """
 
-METHODS = (
-    UntrainedMethod("vector_online", "AnyTeleop's vectors, optimised at every frame", _make(VectorOnline)),
-    UntrainedMethod("dexpilot_online", "DexPilot's vectors, optimised at every frame", _make(DexPilotOnline)),
-)
+    def __init__(
+        self,
+        kinematics: NumpyKinematics,
+        pairs: list[tuple[int, int]],
+        huber_delta: float,
+        norm_delta: float,
+    ):
+        """Takes the equation's δ as `huber_delta`, m, and its `norm_delta`, 1/rad²."""
+        self.kinematics, self.pairs = kinematics, pairs
+        self._huber_delta, self._norm_delta = huber_delta, norm_delta
+        # v = difference · tips − origin
+        self._difference = np.zeros((len(pairs), len(kinematics.finger_names)))
+        self._origin = np.zeros((len(pairs), 3))
+        for row, (origin, tip) in enumerate(pairs):
+            self._difference[row, tip] = 1.0
+            if origin == WRIST:
+                self._origin[row] = kinematics.p_BW
+            else:
+                self._difference[row, origin] = -1.0
+
+    def human(self, p_HF: np.ndarray) -> np.ndarray:
+        """Returns the person's task vectors (N, V, 3), m, for fingertips (N, F, 3) in the wrist frame, m."""
+        return self._difference @ p_HF
+
+    def solve(
+        self,
+        targets: np.ndarray,
+        weights: np.ndarray,
+        start: np.ndarray,
+        previous: np.ndarray | None,
+    ) -> np.ndarray:
+        """Finds joint angles (N, n), rad, that minimise the objective of each of N frames.
+
+        Args:
+            targets: (N, V, 3) target task vectors, m.
+            weights: (N, V) weights of the vectors.
+            start: (N, n) initial joint angles inside the limits, rad.
+            previous: (N, n) joint angles of the regulariser, rad; None omits it.
+        """
+        lower, upper = self.kinematics.lower, self.kinematics.upper
+        q = np.clip(start, lower, upper)
+        rows = np.arange(len(q))  # unfinished frames
+        damping = np.full(len(q), 1e-3)
+        loss, gradient, H = self.objective(q, targets, weights, previous)
+        for _ in range(ITERATIONS):
+            # Joints that the gradient presses against a limit are fixed.
+            free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
+            # Damping relative to the mean curvature leaves redundant directions unchanged.
+            scale = np.einsum("nii->n", H) / H.shape[-1] + 1e-12
+            A = H * (free[:, :, None] & free[:, None, :])
+            diagonal = np.einsum("nii->ni", A)
+            diagonal += np.where(free, (damping[rows] * scale)[:, None], 1.0)
+            step = np.linalg.solve(A, -(gradient * free)[..., None])[..., 0]
+            trial = np.clip(q[rows] + step, lower, upper)
+            regulariser = None if previous is None else previous[rows]
+            new = self.objective(trial, targets[rows], weights[rows], regulariser)
+            better = new[0] <= loss
+            moved = np.abs(trial - q[rows]).max(axis=1)
+            q[rows[better]] = trial[better]
+            damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 10.0), 1e-6, 1e6)
+            loss = np.where(better, new[0], loss)
+            gradient = np.where(better[:, None], new[1], gradient)
+            H = np.where(better[:, None, None], new[2], H)
+            going = moved > TOLERANCE
+            if not going.any():
+                break
+            rows, loss, gradient, H = rows[going], loss[going], gradient[going], H[going]
+        return q
+
+    def objective(
+        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Returns loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n) at q (N, n), rad.
+        Other arguments are those of `solve`.
+        """
+        tips, J = self.kinematics.fingertips_and_jacobians(q)
+        count, fingers, _, n = J.shape
+        residual = self._difference @ tips - self._origin - targets
+        J = (self._difference @ J.reshape(count, fingers, 3 * n)).reshape(count, -1, n)
+        distance = np.sqrt((residual**2).sum(-1))
+        delta = self._huber_delta
+        huber = np.where(distance < delta, 0.5 * distance**2 / delta, distance - 0.5 * delta)
+        weights = weights / len(self.pairs)
+        loss = (weights * huber).sum(-1)
+        # h'(d)/d is the weight with which half the squared residual has the same gradient.
+        w = np.repeat(weights / np.maximum(distance, delta), 3, axis=-1)
+        weighted = J * w[..., None]
+        gradient = (residual.reshape(count, 1, -1) @ weighted)[:, 0]
+        H = np.swapaxes(J, -1, -2) @ weighted
+        if previous is not None:
+            away = q - previous
+            loss = loss + self._norm_delta * (away**2).sum(-1)
+            gradient = gradient + 2.0 * self._norm_delta * away
+            H += 2.0 * self._norm_delta * np.eye(n)
+        return loss, gradient, H

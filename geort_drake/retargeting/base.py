@@ -1,0 +1,204 @@
+"""The interface of all retargeters: human fingertips in, joint angles of a robot hand out."""
+
+import json
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from safetensors.numpy import save
+
+from geort_drake.errors import CheckpointError, GeortError, UnknownNameError
+from geort_drake.files import atomic_path
+from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.retargeting.trained_space import TrainedSpace
+
+MAX_REACH = 0.5  # m; no fingertip is farther from its wrist
+# Of files, see `geort_drake.retargeting.store`.
+FORMAT, HEADER, TRAINED_POINTS = 2, "geort_drake", "trained_points"
+_STEP = 1e-6  # m, of numerical derivatives
+
+# Maps fingertips or keypoints of one or many hands to joint angles; a `Retargeter`, or a user's own function.
+Retarget = Callable[[np.ndarray], np.ndarray]
+
+
+class Retargeter(ABC):
+    """Maps the fingertips of human hands to joint angles of a robot hand.
+
+    Human hands are right ones: left hands are mirrored in the plane y = 0 of the wrist frame H.
+
+    Attributes:
+        finger_names: F fingers, in the order of the inputs.
+        joint_names: n joints, in the order of the outputs.
+        human_keypoints: (F,) numbers of the keypoints that are the fingertips.
+        lower, upper: (n,) joint limits, rad; outputs are always inside.
+        robot_hands: names of the robot hands for which the map was made.
+        trained_space: places that the fingertips visited in training; None if they are unknown.
+        info: method, config, provenance, metrics and history of a trained map, in JSON types.
+        arrays: the weights of a trained map.
+    """
+
+    kind: ClassVar[str] = ""  # of the weights, in files
+
+    def __init__(
+        self,
+        finger_names: Sequence[str],
+        joint_names: Sequence[str],
+        human_keypoints: Sequence[int] | None,
+        lower: np.ndarray,
+        upper: np.ndarray,
+    ):
+        """Without `human_keypoints`, the names of the fingers determine them.
+
+        Raises:
+            UnknownNameError: a finger's name has no keypoint.
+        """
+        if human_keypoints is None:
+            for name in finger_names:
+                if name not in TIP_KEYPOINT:
+                    raise UnknownNameError("finger", name, TIP_KEYPOINT)
+            human_keypoints = [TIP_KEYPOINT[name] for name in finger_names]
+        self.finger_names, self.joint_names = tuple(finger_names), tuple(joint_names)
+        self.human_keypoints = np.array(human_keypoints, dtype=int)
+        self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+        self.robot_hands: tuple[str, ...] = ()
+        self.trained_space: TrainedSpace | None = None
+        self.info: dict[str, Any] = {}
+        self.arrays: Mapping[str, np.ndarray] = {}
+
+    @abstractmethod
+    def _angles(self, p_HF: np.ndarray) -> np.ndarray:
+        """Computes joint angles (N, n), rad, of N fingertips (N, F, 3), m."""
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Computes joint angles, rad, of one or many human hands.
+
+        Args:
+            points: fingertips p_HF (F, 3) or (N, F, 3), or keypoints p_HK (21, 3) or (N, 21, 3), in the
+                wrist frame H, m.
+
+        Returns:
+            Joint angles (n,) or (N, n), rad, which belong to the caller.
+
+        Raises:
+            ValueError: points have another shape.
+            GeortError: a coordinate is not finite, or a fingertip is farther from the wrist than any hand's.
+        """
+        p_HF = self.fingertips(points)
+        return self._angles(p_HF) if p_HF.ndim == 3 else self._angles(p_HF[None])[0]
+
+    def reset(self) -> None:  # noqa: B027 (most have nothing to forget)
+        """Forgets earlier calls; only methods that optimise from frame to frame remember any."""
+
+    def jacobian(self, points: np.ndarray) -> np.ndarray:
+        """Computes ∂q/∂p_HF (n, F, 3), rad/m, of one hand (F, 3) or (21, 3), here by central differences.
+
+        Raises:
+            ValueError: points are more than one hand.
+        """
+        p_HF = self._one_hand(points)
+        steps = _STEP * np.eye(p_HF.size).reshape(-1, *p_HF.shape)
+        change = self._angles(p_HF + steps) - self._angles(p_HF - steps)
+        return (change / (2.0 * _STEP)).T.reshape(-1, *p_HF.shape)
+
+    def save(self, path: str | os.PathLike) -> None:
+        """Writes a trained map to a file, atomically; its weights get single precision.
+
+        `geort_drake.retargeting.store` describes the file, and loads it.
+
+        Raises:
+            GeortError: there are no weights.
+            OutputError: the file cannot be written.
+            ValueError: `info` has a value that JSON lacks, such as NaN.
+        """
+        if not self.arrays:
+            raise GeortError(f"a {type(self).__name__} has no weights that could be saved")
+        arrays = {
+            name: np.ascontiguousarray(array, dtype=np.int64 if name == "columns" else np.float32)
+            for name, array in self.arrays.items()
+        }
+        if self.trained_space is not None:
+            arrays[TRAINED_POINTS] = self.trained_space.points
+        header = {
+            "format": FORMAT,
+            "kind": self.kind,
+            "robot_hands": self.robot_hands,
+            "finger_names": self.finger_names,
+            "joint_names": self.joint_names,
+            "human_keypoints": self.human_keypoints.tolist(),
+            "lower": self.lower.tolist(),
+            "upper": self.upper.tolist(),
+            "info": self.info,
+        }
+        # save_file would raise no OSError when the disk is full.
+        contents = save(arrays, {HEADER: json.dumps(header, allow_nan=False)})
+        with atomic_path(path) as draft:
+            draft.write_bytes(contents)
+
+    def fingertips(self, points: np.ndarray) -> np.ndarray:
+        """Returns the fingertips (F, 3) or (N, F, 3) of `points`; see `__call__`."""
+        points = np.asarray(points, dtype=float)
+        fingers = len(self.finger_names)
+        if (
+            points.ndim not in (2, 3)
+            or points.shape[-1] != 3
+            or points.shape[-2] not in (fingers, KEYPOINT_COUNT)
+        ):
+            raise ValueError(
+                f"human points must be fingertips ({fingers}, 3) or (N, {fingers}, 3) for "
+                f"{', '.join(self.finger_names)}, or whole hands ({KEYPOINT_COUNT}, 3) or "
+                f"(N, {KEYPOINT_COUNT}, 3); they have shape {points.shape}"
+            )
+        if points.shape[-2] != fingers:
+            points = points.take(self.human_keypoints, axis=-2)
+        # NaN fails the comparison, too.
+        if not (np.abs(points) <= MAX_REACH).all():
+            if not np.isfinite(points).all():
+                raise GeortError("human points must be finite; at least one coordinate is NaN or infinite")
+            raise GeortError(
+                f"human points must be in metres from the wrist; a coordinate is {np.abs(points).max():g}, "
+                f"and at most {MAX_REACH:g} is possible. Are they in another unit or frame?"
+            )
+        return points
+
+    def _one_hand(self, points: np.ndarray) -> np.ndarray:
+        p_HF = self.fingertips(points)
+        if p_HF.ndim != 2:
+            raise ValueError(f"jacobian takes one hand, ({len(self.finger_names)}, 3), not {p_HF.shape}")
+        return p_HF
+
+
+def kinematics_of(hand: Any) -> Any:
+    """Returns the `HandKinematics` of a hand model, mirrored for a left hand, or `hand` if it is one."""
+    if not hasattr(hand, "description"):
+        return hand
+    return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
+
+
+def keypoints_of(hand: Any) -> Sequence[int] | None:
+    """Returns the keypoints of a hand model's fingertips; None for kinematics, whose names determine them."""
+    return hand.description.human_keypoints if hasattr(hand, "description") else None
+
+
+def require_array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """Returns the named array, in double precision; −1 in `shape` is any size but 0.
+
+    Raises:
+        CheckpointError: it is missing, has another shape or is not finite.
+    """
+    if name not in arrays:
+        raise CheckpointError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
+    value = np.asarray(arrays[name])
+    fits = value.ndim == len(shape) and all(
+        size == expected or (expected == -1 and size > 0)
+        for size, expected in zip(value.shape, shape, strict=True)
+    )
+    with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
+        usable = fits and value.dtype.kind in "fiu" and np.isfinite(value.astype(np.float32)).all()
+    if not usable:
+        raise CheckpointError(
+            f"weights: '{name}' must be finite and of shape {shape}, it is of shape {value.shape} and type "
+            f"{value.dtype}"
+        )
+    return value.astype(float)

@@ -1,0 +1,110 @@
+"""The trained map in NumPy: a network per finger, and optionally one that sees all fingertips."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from geort_drake.errors import CheckpointError
+from geort_drake.retargeting.base import Retargeter, require_array
+
+
+class MlpRetargeter(Retargeter):
+    """q = centre + half range · tanh(f_i(x_i) + r(x_1, …, x_F)), with networks of two hidden SiLU layers.
+
+    f_i sees the fingertip of finger i, and r, which may be absent, sees all. Stateless and thread-safe.
+    """
+
+    kind = "mlp"
+
+    def __init__(
+        self,
+        arrays: Mapping[str, np.ndarray],
+        finger_names: Sequence[str],
+        joint_names: Sequence[str],
+        human_keypoints: Sequence[int] | None,
+        lower: np.ndarray,
+        upper: np.ndarray,
+    ):
+        """Builds the map from its weights.
+
+        Args:
+            arrays: weight0 (F, 3, h), bias0 (F, 1, h), weight1 (F, h, h), bias1 (F, 1, h),
+                weight2 (F, h, k), bias2 (F, 1, k) of the networks f_i; columns (n,), the number of each joint
+                among their F·k outputs; and of the network r, if there is one: residual_weight0 (3F, r),
+                residual_bias0 (r,), residual_weight1 (r, r), residual_bias1 (r,), residual_weight2 (r, F·k)
+                and residual_bias2 (F·k,).
+            finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`.
+
+        Raises:
+            CheckpointError: an array is missing, has a wrong shape or is not finite.
+        """
+        super().__init__(finger_names, joint_names, human_keypoints, lower, upper)
+        self.arrays = arrays
+        F = len(self.finger_names)
+        h = require_array(arrays, "weight0", (F, 3, -1)).shape[2]
+        k = require_array(arrays, "weight2", (F, h, -1)).shape[2]
+        columns = require_array(arrays, "columns", (len(self.joint_names),)).astype(int)
+        if len(set(columns)) != len(columns) or not (columns.min() >= 0 and columns.max() < F * k):
+            raise CheckpointError(f"weights: columns must be different numbers below {F * k}, not {columns}")
+        r = 0
+        if "residual_weight0" in arrays:
+            r = require_array(arrays, "residual_weight0", (3 * F, -1)).shape[1]
+
+        def residual(name: str, *shape: int) -> np.ndarray:
+            return require_array(arrays, f"residual_{name}", shape) if r else np.zeros(shape)
+
+        def fingers(name: str, *shape: int) -> np.ndarray:
+            return require_array(arrays, name, (F, *shape))
+
+        # Layers 0 and 2 of all networks are one matrix each; in layer 1 that would be mostly zeros.
+        self._weight0 = np.hstack([_block_diagonal(fingers("weight0", 3, h)), residual("weight0", 3 * F, r)])
+        self._bias0 = np.concatenate([fingers("bias0", 1, h).ravel(), residual("bias0", r)])
+        self._weight1, self._residual1 = fingers("weight1", h, h), residual("weight1", r, r)
+        self._bias1 = np.concatenate([fingers("bias1", 1, h).ravel(), residual("bias1", r)])
+        weight2 = np.vstack([_block_diagonal(fingers("weight2", h, k)), residual("weight2", r, F * k)])
+        self._weight2 = weight2[:, columns]
+        self._bias2 = (fingers("bias2", 1, k).ravel() + residual("bias2", F * k))[columns]
+        self._centre = 0.5 * (self.lower + self.upper)
+        # Rounding must not move a saturated output beyond its limit.
+        self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)
+
+    def _angles(self, p_HF: np.ndarray) -> np.ndarray:
+        h = _silu(p_HF.reshape(len(p_HF), len(self._weight0)) @ self._weight0 + self._bias0)
+        h = _silu(self._layer1(h) + self._bias1)
+        return self._centre + self._half_range * np.tanh(h @ self._weight2 + self._bias2)
+
+    def jacobian(self, points: np.ndarray) -> np.ndarray:
+        """Computes ∂q/∂p_HF (n, F, 3), rad/m, of one hand (F, 3) or (21, 3), exactly."""
+        p_HF = self._one_hand(points)
+        u0 = p_HF.reshape(1, -1) @ self._weight0 + self._bias0
+        u1 = self._layer1(_silu(u0)) + self._bias1
+        y = np.tanh(_silu(u1) @ self._weight2 + self._bias2)
+        # Forward mode: a row for each of the 3F coordinates.
+        J = self._layer1(self._weight0 * _silu_slope(u0)) * _silu_slope(u1) @ self._weight2
+        J *= self._half_range * (1.0 - y * y)
+        return J.T.reshape(-1, *p_HF.shape)
+
+    def _layer1(self, h: np.ndarray) -> np.ndarray:
+        """Multiplies rows h (N, H) by the block-diagonal weights of layer 1."""
+        F, width = self._weight1.shape[:2]
+        own = h[:, : F * width].reshape(-1, F, width).swapaxes(0, 1) @ self._weight1
+        return np.hstack([own.swapaxes(0, 1).reshape(len(h), F * width), h[:, F * width :] @ self._residual1])
+
+
+def _silu(u: np.ndarray) -> np.ndarray:
+    """Computes u / (1 + exp(−u)), by a tanh that never overflows."""
+    half = 0.5 * u
+    return half + half * np.tanh(half)
+
+
+def _silu_slope(u: np.ndarray) -> np.ndarray:
+    s = 0.5 + 0.5 * np.tanh(0.5 * u)
+    return s * (1.0 + u * (1.0 - s))
+
+
+def _block_diagonal(blocks: np.ndarray) -> np.ndarray:
+    """Returns the block-diagonal matrix (F·a, F·b) of blocks (F, a, b)."""
+    F, a, b = blocks.shape
+    full = np.zeros((F, a, F, b))
+    full[np.arange(F), :, np.arange(F)] = blocks
+    return full.reshape(F * a, F * b)
