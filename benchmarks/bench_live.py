@@ -30,7 +30,7 @@ from rich.table import Table
 from side_by_side import parse, parser, write_json
 
 from geort_drake.console import console, run_main
-from geort_drake.people.formats.source import KEYPOINTS_OF_25
+from geort_drake.people.formats import KEYPOINTS_OF_25
 from geort_drake.people.play import synthesize_play
 
 # A headset's space S relative to H of a hand that points forward, and the wrist's position in S, m.

@@ -2,18 +2,17 @@
 
 from typing import Any
 
-from geort_drake.people.formats.source import Source, Tracks
+import numpy as np
 
-SUFFIXES = (".npz",)
+from geort_drake.people.formats import FORMATS, Format, Track
+
 ORDER = [20, *range(20)]  # indices of our keypoints in the file
 
 
-def recognizes(contents: Any) -> bool:
-    """Whether a file with one of `SUFFIXES` has this format."""
-    return "markers" in contents
+def read(contents: Any, side: str) -> Track:
+    """Returns times and keypoints as the file stores them; `side` is the one that the user wants."""
+    p_WK = np.asarray(contents["markers"], dtype=float)[:, ORDER]
+    return Track(contents["time"], p_WK, in_world=True, unit="mm")
 
 
-def read(file: Source, side: str) -> Tracks:
-    """Returns the keypoints as stored in the file; `side` is the side that the user selected."""
-    p_WK = file.array("markers", (21, 3))[:, ORDER]
-    return Tracks(p_WK, file.times(len(p_WK)), world=True, side=file.side(), unit="mm")
+FORMATS["my_glove"] = Format("my glove, 21 markers", (".npz",), lambda contents: "markers" in contents, read)

@@ -1,7 +1,6 @@
 """Atomic writing of files and folders, and digests of their contents."""
 
 import contextlib
-import ctypes
 import errno
 import fcntl
 import hashlib
@@ -13,26 +12,13 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from geort_drake.errors import GeortError, OutputError
+from geort_drake.errors import OutputError
 
 # Errors of a full disk or a read-only location.
 _UNWRITABLE = {
-    errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ENOSPC, errno.ENOTDIR, errno.EPERM, errno.EROFS,
+    errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ELOOP, errno.ENOSPC, errno.ENOTDIR, errno.ENXIO,
+    errno.EPERM, errno.EROFS,
 }  # fmt: skip
-
-_LFS_HEADER = b"version https://git-lfs."
-
-
-def is_lfs_pointer(path: str | os.PathLike) -> bool:
-    """Whether a file is the small text that Git LFS leaves in place of contents not yet fetched."""
-    with open(path, "rb") as file:
-        return file.read(len(_LFS_HEADER)) == _LFS_HEADER
-
-
-def require_fetched(path: str | os.PathLike, error: type[GeortError]) -> None:
-    """Raises `error` if `path` is a Git LFS pointer instead of the file itself."""
-    if is_lfs_pointer(path):
-        raise error(f"{path}: is a Git LFS pointer, not the file itself; fetch it with `git lfs pull`")
 
 
 @contextlib.contextmanager
@@ -53,23 +39,41 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
     """Yields a temporary path in the same folder, which replaces `target` on success.
 
     On an exception nothing is left behind and an earlier `target` stays. If the process is killed or the
-    machine fails, `target` is complete, either old or new; a hidden temporary file may remain.
+    machine fails, `target` is complete, either old or new; a hidden temporary file may remain. A symbolic
+    link stays, and the file to which it points is replaced. What is no regular file, such as a device or a
+    pipe with a reader, is written to.
 
     Raises:
-        OutputError: the disk is full or the location is not writable.
+        OutputError: the disk is full, the location is not writable, or `target` is a folder.
     """
-    target = Path(target)
-    with writing(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
+    given = Path(target)
+    with writing(given):
+        if given.is_dir():
+            raise OutputError(f"{given}: is a directory, not a file")
+        special = given.exists() and not given.is_file()
+        # Opened at once, so that a pipe without a reader is refused before the work.
+        stream = open(os.open(given, os.O_WRONLY | os.O_NONBLOCK), "wb") if special else None
+        target = given if special else Path(os.path.realpath(given))
+        if not special and target.is_symlink():
+            raise OutputError(f"{given}: is a link to itself")
+        folder = None if special else target.parent
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
         # With the target's suffix, because writers such as np.savez append theirs otherwise.
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent)
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=folder)
         os.close(handle)
         draft = Path(name)
         try:
             yield draft
-            draft.chmod(0o666 & ~_umask())
-            _to_disk(draft)
-            os.replace(draft, target)
+            if stream is not None:
+                with stream, draft.open("rb") as contents:
+                    os.set_blocking(stream.fileno(), True)
+                    shutil.copyfileobj(contents, stream)
+                draft.unlink()
+            else:
+                draft.chmod(0o666 & ~_umask())
+                _to_disk(draft)
+                os.replace(draft, target)
         except BaseException:
             draft.unlink(missing_ok=True)
             raise
@@ -77,38 +81,40 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
-    """Yields a temporary directory, which replaces `target` on success; see `atomic_path`."""
-    target = Path(target)
-    if target.is_symlink():
-        target = target.resolve()  # the link stays
+    """Yields a temporary directory, which replaces `target` on success; on an exception, `target` stays.
+
+    A symbolic link stays, and the directory to which it points is replaced.
+
+    Raises:
+        OutputError: the disk is full, the location is not writable, or `target` is no directory.
+    """
+    target = Path(os.path.realpath(target))
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file, not a directory")
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        old = draft.with_name(f"{draft.name}-old")
         try:
             yield draft
             draft.chmod(0o777 & ~_umask())
             for path in draft.rglob("*"):
                 if path.is_file():
                     _to_disk(path)
-            if target.exists() and _exchange(draft, target):
-                shutil.rmtree(draft)
-            elif target.exists():
-                # rename() cannot replace a directory that contains files, so the old one is moved first.
-                old = draft.with_name(f"{draft.name}-old")
+            # rename() cannot replace a directory that contains files, so the old one is moved first.
+            if target.exists():
                 os.replace(target, old)
-                try:
-                    os.replace(draft, target)
-                except BaseException:
-                    os.replace(old, target)
-                    raise
-                shutil.rmtree(old)
-            else:
+            try:
                 os.replace(draft, target)
+            except BaseException:
+                if old.exists():
+                    os.replace(old, target)
+                raise
         except BaseException:
             shutil.rmtree(draft, ignore_errors=True)
             raise
+        if old.exists():
+            shutil.rmtree(old)
 
 
 @contextlib.contextmanager
@@ -167,16 +173,6 @@ def _to_disk(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _exchange(one: Path, other: Path) -> bool:
-    """Exchanges two paths atomically; returns False where that is unsupported (Linux supports it mostly)."""
-    try:
-        renameat2 = ctypes.CDLL(None, use_errno=True).renameat2
-    except AttributeError:
-        return False
-    at_fdcwd, rename_exchange = -100, 2
-    return renameat2(at_fdcwd, os.fsencode(one), at_fdcwd, os.fsencode(other), rename_exchange) == 0
-
-
 def require_writable(target: str | os.PathLike, directory: bool = False) -> None:
     """Checks before long work that `target` can be written; creates nothing.
 
@@ -186,9 +182,13 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
     Raises:
         OutputError: the nearest existing parent is not a folder or not writable.
     """
-    target = Path(target)
+    target = Path(os.path.realpath(target))
     if not directory and target.is_dir():
         raise OutputError(f"{target}: is a directory, not a file")
+    if target.exists() and not (target.is_file() or target.is_dir()):
+        if not os.access(target, os.W_OK):
+            raise OutputError(f"{target}: cannot be written to")
+        return
     candidates = (target, *target.parents) if directory else target.parents
     nearest = next(path for path in candidates if path.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):

@@ -3,7 +3,6 @@
 import csv
 import functools
 import json
-import pickle
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,8 +137,6 @@ def read_contents(path: Path) -> Any:
             return np.load(path)
         case ".jsonl":
             return [json.loads(line) for line in path.read_text().splitlines()]
-        case ".pkl":
-            return pickle.loads(path.read_bytes())  # noqa: S301 (our own file)
     return yaml.safe_load(path.read_text()) if path.suffix == ".yaml" else json.loads(path.read_text())
 
 
@@ -152,8 +149,6 @@ def write_contents(path: Path, contents: Any) -> None:
             np.save(path, contents)
         case ".jsonl":
             path.write_text("".join(json.dumps(line) + "\n" for line in contents))
-        case ".pkl":
-            path.write_bytes(pickle.dumps(contents))
         case _:
             path.write_text((yaml.safe_dump if path.suffix == ".yaml" else json.dumps)(contents))
 
@@ -313,68 +308,6 @@ def vision_pro_arrays(hand: Hand, joints: int = 25) -> dict[str, np.ndarray]:
     }
 
 
-def vision_pro_stream(hand: Hand) -> list[dict]:
-    """A list of dicts, with the 27 transforms of the releases that put the forearm first."""
-    arrays = vision_pro_arrays(hand, 27)
-    joints = f"{hand.side}_fingers"
-    arrays[joints] = np.roll(arrays[joints], 2, axis=1)[:, [1, 0, *range(2, 27)]]
-    times = arrays.pop("timestamps")
-    return [
-        {name: v[i] for name, v in arrays.items()} | {"timestamp": t} for i, t in enumerate(times.tolist())
-    ]
-
-
-def vision_pro_app_frames(hand: Hand) -> list[dict]:
-    """Lines of the app's own recording: joints by name from the wrist, and the wrist in the world."""
-    arrays = vision_pro_arrays(hand, 27)
-    names = ["wrist", *(f"thumb{j}" for j in ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip"))]
-    joints = ("Metacarpal", "Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
-    names += [f"{finger}{joint}" for finger in FINGERS for joint in joints] + ["forearmWrist", "forearmArm"]
-    X = arrays[f"{hand.side}_fingers"]
-    X[:, 0] = arrays[f"{hand.side}_wrist"][:, 0]
-    columns = np.swapaxes(X, -1, -2).reshape(len(X), 27, 16).tolist()
-    return [
-        {
-            "timestamp": t,
-            "systemTime": 1.76e9 + t,
-            f"{hand.side}Hand": dict(zip(names, row, strict=True)),
-            "videoFrameIndex": -1,
-        }
-        for t, row in zip(hand.t.tolist(), columns, strict=True)
-    ]
-
-
-def mano_order() -> list[str]:
-    """MANO's joints, then the tips."""
-    inner = [
-        f"{finger}_{j}" for finger in ("index", "middle", "little", "ring") for j in ("mcp", "pip", "dip")
-    ]
-    tips = [f"{finger}_tip" for finger in ("thumb", "index", "middle", "ring", "little")]
-    return ["wrist", *inner, "thumb_cmc", "thumb_mcp", "thumb_ip", *tips]
-
-
-def mano_points(hand: Hand) -> np.ndarray:
-    return stacked(hand.joints(), mano_order())
-
-
-def mano_fields(hand: Hand) -> dict:
-    return {"handJoints3D": mano_points(hand), "t": hand.t, "side": np.array(hand.side)}
-
-
-def write_ho3d(folder: Path, hand: Hand) -> Path:
-    """HO-3D's folder meta, one pickle per frame."""
-    (folder / "meta").mkdir()
-    for i, p in enumerate(mano_points(hand).astype(np.float32)):
-        annotation = {"handJoints3D": p, "camMat": np.eye(3), "objName": "006_mustard"}
-        (folder / "meta" / f"{i:04}.pkl").write_bytes(pickle.dumps(annotation, protocol=2))
-    return folder / "meta"
-
-
-def operator_axes(hand: Hand) -> list[np.ndarray]:
-    """dex-retargeting's joint_pos: from the wrist, in axes that the palm gives."""
-    return list(hand.seen @ Rotation.from_euler("z", 4, degrees=True).as_matrix())
-
-
 write_own = writer("own.npz", own_fields)
 write_geort = writer("geort.npy", lambda hand: hand.seen)  # (T, 21, 3) in the wrist frame
 write_manus = writer("manus.npz", manus_fields)
@@ -396,19 +329,7 @@ WRITERS = {
     "webxr": write_webxr,
     "webxr_json": writer("webxr.json", webxr_frames),
     "vision_pro": write_vision_pro,
-    "vision_pro_pkl": writer("avp.pkl", vision_pro_stream),
-    "vision_pro_app": writer("tracking.jsonl", vision_pro_app_frames),
-    "mano": writer("mano.npz", mano_fields),
-    "mano_npy": writer("mano.npy", mano_points),
-    "ho3d": write_ho3d,
-    "dex_retargeting": writer("dex.pkl", operator_axes),
 }
 # The name under which `formats` knows each.
-NAMES = {name: name.removesuffix("_json").removesuffix("_npy").removesuffix("_pkl") for name in WRITERS} | {
-    "own": "geort_drake",
-    "ho3d": "mano",
-    "vision_pro_app": "vision_pro",
-}
-TIMED = tuple(
-    name for name in WRITERS if name not in ("geort", "mediapipe_npy", "mano_npy", "ho3d", "dex_retargeting")
-)
+NAMES = {name: name.removesuffix("_json") for name in WRITERS} | {"mediapipe_npy": "geort"}
+TIMED = tuple(name for name in WRITERS if name not in ("geort", "mediapipe_npy"))

@@ -9,7 +9,7 @@ from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.web.hands import _VIEW_RAD
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.people.formats.source import KEYPOINTS_OF_25
+from geort_drake.people.formats import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import mirrored
 
 

@@ -25,7 +25,7 @@ from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
 from geort_drake.console import console
 from geort_drake.errors import OutputError
 from geort_drake.files import locked
-from geort_drake.people.checks import examine, verdict
+from geort_drake.people.checks import examine
 from geort_drake.people.formats import FORMATS
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting import train as retargeting_train
@@ -125,7 +125,7 @@ def check_hand_read(given: dict, play) -> None:
     read = given["recording"]
     np.testing.assert_allclose(read.p_HK, given.get("play", play).p_HK, atol=1e-6)
     assert read.valid.all() and read.side == "right"
-    assert "refused" not in verdict(examine(read)[1])
+    assert examine(read).valid.any()
 
 
 def check_hand_moved(given: dict, play) -> None:

@@ -28,7 +28,7 @@ from PIL import Image
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import decode
 from geort_drake.live.web.server import WebServer
-from geort_drake.people.formats.source import KEYPOINTS_OF_25
+from geort_drake.people.formats import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
 from geort_drake.retargeting import METHODS
 

@@ -3,7 +3,6 @@
 import dataclasses as dc
 import json
 import os
-import threading
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from geort_drake import Recording, read_recording, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import OutputError, RecordingError, UsageError
 from geort_drake.people.population import sample_person
-from geort_drake.people.recording_parts import RecordingParts
+from geort_drake.people.recording_log import RecordingLog
 
 
 def recorded(frames=400) -> Recording:
@@ -91,68 +90,76 @@ PLAY = dc.replace(PLAY, X_WH=np.tile(np.eye(7)[0], (len(PLAY), 1)))
 LATER = 3.25  # s, when the first frame came
 
 
-def append(parts: RecordingParts, frames: range, step: int = 50) -> None:
+def append(log: RecordingLog, frames: range, step: int = 50) -> None:
     for start in frames[::step]:
         part = slice(start, min(start + step, frames.stop))
-        parts.append(PLAY.t[part] + LATER, PLAY.p_HK[part], PLAY.valid[part], PLAY.X_WH[part])
+        log.append(PLAY.t[part] + LATER, PLAY.p_HK[part], PLAY.valid[part], PLAY.X_WH[part])
 
 
-def interrupt(parts: RecordingParts) -> None:
-    """Ends the thread and leaves everything else as kill -9 would."""
-    parts._waiting.put(None)
-    parts._thread.join()
-
-
-def test_parts_are_joined_to_one_recording_and_those_of_an_interrupted_session_are_kept(tmp_path):
-    """Times from zero, nothing missing, and no part left.
-
-    What was interrupted is read under the file's name while there is none; the next session renames it.
-    """
+def test_appended_frames_become_the_recording(tmp_path):
+    """Times from zero, nothing missing, facts from the end, no other file left; without frames, none."""
     path = tmp_path / "session.npz"
-    first = RecordingParts(path, PLAY.metadata)
-    append(first, range(300))
-    interrupt(first)
-    read = read_recording(path)
-    assert len(read) == 300
-    np.testing.assert_array_equal(read.p_HK, PLAY.p_HK[:300])
-    with pytest.raises(RecordingError, match="right"):
-        read_recording(path, side="left")
-    again = RecordingParts(path, PLAY.metadata)
-    append(again, range(len(PLAY)))
-    assert again.finish()
-    assert sorted(os.listdir(tmp_path)) == ["session-interrupted-1.npz", "session.npz"]
-    assert again.recovered == tmp_path / "session-interrupted-1.npz"
-    assert Recording.load(again.recovered).digest == read_recording(again.recovered).digest == read.digest
-    joined = read_recording(path)
-    np.testing.assert_allclose(joined.t, PLAY.t, atol=1e-12)
+    log = RecordingLog(path, PLAY.metadata)
+    append(log, range(len(PLAY)))
+    assert log.finish({"outcome": "held"})
+    assert os.listdir(tmp_path) == ["session.npz"]
+    recording = read_recording(path)
+    np.testing.assert_allclose(recording.t, PLAY.t, atol=1e-12)
     for name in ("p_HK", "valid", "X_WH"):
-        np.testing.assert_array_equal(getattr(joined, name), getattr(PLAY, name))
+        np.testing.assert_array_equal(getattr(recording, name), getattr(PLAY, name))
+    assert recording.metadata["outcome"] == "held"
+    assert not RecordingLog(tmp_path / "empty.npz", PLAY.metadata).finish()
+    assert os.listdir(tmp_path) == ["session.npz"]
 
 
-def test_a_disk_that_hangs_holds_nobody_up(tmp_path, monkeypatch):
-    """Memory stays bounded: what does not fit is left out, and told."""
-    go_on = threading.Event()
-    save = Recording.save
-    monkeypatch.setattr(Recording, "save", lambda *arguments: (go_on.wait(), save(*arguments)))
-    parts = RecordingParts(tmp_path / "session.npz", PLAY.metadata)
-    with pytest.warns(RuntimeWarning, match="disk is too slow"):
-        append(parts, range(200), step=10)
-    go_on.set()
-    with pytest.raises(OutputError, match="disk is too slow"):
-        parts.finish()
+def test_the_joints_of_a_robot_are_kept(tmp_path):
+    signals = {**PLAY.metadata, "robot_signals": ["a", "b"]}
+    log = RecordingLog(tmp_path / "session.npz", signals)
+    q = np.arange(100.0).reshape(50, 2)
+    log.append(PLAY.t[:50], PLAY.p_HK[:50], PLAY.valid[:50], PLAY.X_WH[:50], q)
+    assert log.finish()
+    np.testing.assert_array_equal(Recording.load(tmp_path / "session.npz").robot, q)
 
 
-def test_a_broken_part_is_named(tmp_path):
-    """Nothing is joined or removed."""
+def test_frames_of_a_killed_session_become_a_recording_of_their_own(tmp_path):
+    """Also those before a last row that was cut off; earlier recordings stay."""
     path = tmp_path / "session.npz"
-    parts = RecordingParts(path, PLAY.metadata)
-    append(parts, range(100))
-    interrupt(parts)
-    (tmp_path / "session.npz.parts" / "000001.npz").write_bytes(b"x")
-    for read in (read_recording, lambda path: RecordingParts(path, {})):
-        with pytest.raises(RecordingError, match=r"000001\.npz: not a readable NumPy file"):
-            read(path)
-    assert sorted(os.listdir(tmp_path)) == ["session.npz.parts"]
+    append(RecordingLog(path, PLAY.metadata), range(300))  # never finished, as after kill -9
+    with open(tmp_path / "session.npz.log", "ab") as file:
+        file.write(b"12345")
+    again = RecordingLog(path, PLAY.metadata)
+    assert again.recovered == tmp_path / "session-interrupted-1.npz"
+    np.testing.assert_array_equal(read_recording(again.recovered).p_HK, PLAY.p_HK[:300])
+    append(again, range(100))
+    third = RecordingLog(path, PLAY.metadata)
+    assert third.recovered == tmp_path / "session-interrupted-2.npz"
+    append(third, range(200))
+    assert third.finish()
+    names = ["session-interrupted-1.npz", "session-interrupted-2.npz", "session.npz"]
+    assert sorted(os.listdir(tmp_path)) == names
+
+
+def test_a_log_that_is_none_is_named_and_kept(tmp_path):
+    (tmp_path / "session.npz.log").write_bytes(b"[1]x")
+    with pytest.raises(RecordingError, match=r"session\.npz\.log: not the log of a recording"):
+        RecordingLog(tmp_path / "session.npz", PLAY.metadata)
+    assert (tmp_path / "session.npz.log").read_bytes() == b"[1]x"
+    with pytest.raises(RecordingError, match=r"saved as \.npz, not '\.csv'"):
+        RecordingLog(tmp_path / "session.csv", PLAY.metadata)
+
+
+def test_a_full_disk_ends_the_recording_with_a_warning(tmp_path, monkeypatch):
+    """Later frames are dropped, the error comes at the end, and what was written stays."""
+    log = RecordingLog(tmp_path / "session.npz", PLAY.metadata)
+    append(log, range(100))
+    monkeypatch.setattr(log, "_file", open("/dev/full", "wb", buffering=0))
+    with pytest.warns(RuntimeWarning, match="cannot be written: No space left"):
+        append(log, range(100, 200))
+    assert log.failed
+    with pytest.raises(OutputError, match="No space left"):
+        log.finish()
+    again = RecordingLog(tmp_path / "session.npz", PLAY.metadata)
+    assert len(Recording.load(again.recovered)) == 100
 
 
 @pytest.fixture(scope="module")
@@ -198,7 +205,7 @@ def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, cap
     saved, read = Recording.load(tmp_path / "hand.npz"), read_recording(npy)
     assert saved.digest == read.digest and saved.metadata["warnings"] == read.metadata["warnings"]
     said = " ".join(capsys.readouterr().err.split())
-    for part in ("450 valid", "15.0 s at 30.0 Hz (assumed)", "thumb never comes within 15 mm", "next: "):
+    for part in ("450 valid", "15.0 s at 30.0 Hz (assumed)", "no timestamps: 30 Hz assumed", "next: "):
         assert part in said
     assert said.endswith(f" grasp --recording {tmp_path / 'hand.npz'}")
 
@@ -220,7 +227,7 @@ def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, cap
 
 
 def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
-    """One object on stdout: verdict, findings with place and advice, figures; also of what is refused."""
+    """One object on stdout: verdict, sentences, figures; for what is refused, the reason."""
     run_command("check-recording", [str(npy), "--json", "--rate", "60"])
     said = capsys.readouterr()  # other commands have no --rate, so the next one is convert
     assert f"convert {npy} {npy.with_name('hand_converted.npz')} --rate 60.0" in " ".join(said.err.split())
@@ -230,11 +237,11 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     assert known.items() <= report.items()
     assert report["sha256"] == read_recording(npy, rate_hz=60.0).digest
     assert len(report["fingers"]["index"]["bones_mm"]) == 4
-    assert {"check", "severity", "what", "where", "advice", "lost_frames"} == report["findings"][0].keys()
+    assert report["verdict"] == "usable" and report["warnings"] == []
     np.save(tmp_path / "mm.npy", 1e3 * np.load(npy))
-    for path, check in ((tmp_path / "mm.npy", "unit"), (tmp_path, "file")):
+    for path, reason in ((tmp_path / "mm.npy", "in mm"), (tmp_path, "no such file")):
         with pytest.raises(RecordingError):
             run_command("check-recording", [str(path), "--json"])
         report = json.loads(capsys.readouterr().out)
         assert (report["verdict"], report["fit_for_training"]) == ("refused", False)
-        assert report["findings"][-1]["check"] == check
+        assert reason in report["reason"]

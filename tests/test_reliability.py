@@ -17,9 +17,7 @@ from faults.systems import COMMANDS, FAULTS, WRIST_FAULTS, fuzz_arm, fuzz_guard,
 from grasp_setup import centred_map, human_with, scenario_with
 from system_bench import Bench, Watch
 
-from geort_drake import files, make_trial_diagram
-from geort_drake.errors import OutputError
-from geort_drake.files import atomic_directory, write_text
+from geort_drake import make_trial_diagram
 from geort_drake.simulation.diagram import TrialDiagram
 
 
@@ -125,29 +123,3 @@ def test_a_killed_program_resumes(work, by_clock, new_interpreter, tmp_path):
     """
     rng, known = np.random.default_rng(len(work)), kills.reference(work, tmp_path / "known")
     assert kills.kill(known, tmp_path / "kill", rng, by_clock, new_interpreter) == []
-
-
-def test_a_directory_is_replaced_in_one_step(tmp_path, monkeypatch):
-    """Old and new are exchanged; where the system cannot, the old one is renamed first. A link stays one."""
-    target = tmp_path / "link"
-    target.symlink_to("run")
-    for exchange in (files._exchange, lambda *_: False):
-        monkeypatch.setattr(files, "_exchange", exchange)
-        for number in range(2):
-            with atomic_directory(target) as draft:
-                (draft / "number.txt").write_text(str(number))
-        assert (target / "number.txt").read_text() == "1"
-        assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "run"] and target.is_symlink()
-
-
-def test_a_directory_replaces_neither_a_file_nor_the_current_folder(tmp_path, monkeypatch):
-    """A folder in use cannot be renamed, which must be known before the work begins."""
-    monkeypatch.chdir(tmp_path)
-    assert not files.is_replaceable(".", "mark")
-    assert files.is_replaceable(tmp_path, "mark") and files.is_replaceable("new", "mark")
-    file = tmp_path / "notes.txt"
-    write_text(file, "before")
-    with pytest.raises(OutputError, match="is a file, not a directory"), atomic_directory(file):
-        pytest.fail("the file is in the way")
-    assert file.read_text() == "before"
-    assert list(tmp_path.iterdir()) == [file]

@@ -6,7 +6,6 @@ Exit codes: 0 usable, perhaps with warnings; 2 refused.
 import argparse
 import contextlib
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from geort_drake.cli.options import SIDES, CommandParser, command, finish, finit
 
 if TYPE_CHECKING:
     from geort_drake import Recording
-    from geort_drake.people.checks.findings import Finding
 
 EPILOG = "{formats}"
 _POLL_PERIOD_S = 1.0
@@ -41,7 +39,7 @@ def add_reading_arguments(parser: CommandParser) -> None:
     add("--mirror", action="store_true", help="turn it into a recording of the other hand")
     add(
         "--unit",
-        choices=["m", "cm", "mm", "inch"],
+        choices=["m", "dm", "cm", "mm", "inch"],
         help="unit of lengths in the file (default: the format's)",
     )
     add("--rate", type=finite, metavar="HZ", help="frame rate of a file without timestamps (default: 30)")
@@ -49,26 +47,32 @@ def add_reading_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.errors import RecordingError
-    from geort_drake.people.checks import with_warnings
-    from geort_drake.people.checks.findings import Finding, Severity
-    from geort_drake.people.checks.report import report
+    from geort_drake.people.checks import training_faults
+    from geort_drake.people.coverage import figures
 
     if arguments.watch:
         _watch(arguments)
-    name, findings = str(arguments.input), list[Finding]()
+    name = str(arguments.input)
     try:
-        recording = _read(arguments, findings)
+        recording = _read(arguments)
     except RecordingError as error:
-        # A file that cannot be read has no findings.
-        read = findings or [Finding("file", Severity.ERROR, str(error).removeprefix(f"{name}: "))]
-        write_json(arguments.json, report(name, None, read))
+        result = {"file": name, "verdict": "refused", "fit_for_training": False, "reason": str(error)}
+        write_json(arguments.json, result)
         raise
-    result = report(name, recording, findings)
-    _print(result, findings)
+    warnings, unfit = recording.metadata.get("warnings", []), training_faults(recording)
+    verdict = "usable with warnings" if warnings or unfit else "usable"
+    result = {
+        "file": name,
+        "verdict": verdict,
+        "fit_for_training": not unfit,
+        "warnings": [*warnings, *unfit],
+    }
+    result |= figures(recording)
+    _print(result)
     write_json(arguments.json, result)
     written, following = {}, None
     if arguments.output is not None:
-        with_warnings(recording, findings).save(arguments.output)
+        recording.save(arguments.output)
         written["Recording"] = arguments.output
     if result["fit_for_training"]:
         hand = None if recording.side == "right" else "allegro_left"
@@ -90,21 +94,15 @@ def _options_of_convert(arguments: argparse.Namespace) -> list[str]:
     return [*words, "--side", "left"] if words and arguments.side == "left" else words
 
 
-def _read(arguments: argparse.Namespace, findings: "list[Finding]") -> "Recording":
-    """Reads and checks the recording; adds findings to `findings`, even if it is refused."""
-    from geort_drake.people.checks import examine, refuse
-    from geort_drake.people.readers import open_recording
+def _read(arguments: argparse.Namespace) -> "Recording":
+    from geort_drake import read_recording
 
-    options = arguments.side, arguments.format, arguments.unit, arguments.rate
-    recording, found = open_recording(arguments.input, *options)
-    findings += found
-    recording, found = examine(recording)
-    findings += found
-    refuse(str(arguments.input), findings)
+    options = {"format": arguments.format, "unit": arguments.unit, "rate_hz": arguments.rate}
+    recording = read_recording(arguments.input, arguments.side, **options)
     return recording.mirrored() if arguments.mirror else recording
 
 
-def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
+def _print(result: dict[str, Any]) -> None:
     from geort_drake.console import print_table, say, warn
     from geort_drake.people.formats import FORMATS
 
@@ -128,8 +126,8 @@ def _print(result: dict[str, Any], findings: "Sequence[Finding]") -> None:
         for finger, figures in result["fingers"].items()
     ]
     print_table(("finger", "bones from the wrist, mm", "vary by", "speed, m/s", "pinch frames"), rows)
-    for finding in findings:
-        warn(str(finding))
+    for sentence in result["warnings"]:
+        warn(sentence)
     missing = [motion for motion in result["coverage"] if not motion["enough"]]
     for motion in missing:
         # Rounded down, because 6.9 of 7 degrees are not enough.
@@ -160,7 +158,7 @@ def _print_coverage(arguments: argparse.Namespace) -> bool:
 
     console.clear()
     try:
-        recording = _read(arguments, [])
+        recording = _read(arguments)
     except RecordingError as error:
         # A file that is being written may be empty, or end within a frame.
         say(f"waiting: {error}")

@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.live.session import EnterKey, run_session, stopping
     from geort_drake.live.teleoperation import make_teleoperation
     from geort_drake.live.transports import is_address, open_receiver, split_address
-    from geort_drake.people.recording_parts import RecordingParts
+    from geort_drake.people.recording_log import RecordingLog
     from geort_drake.simulation.following import RobotModel
     from geort_drake.systems.glove_recorder import GloveRecorder
 
@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     model = RobotModel(scenario, description)
     recorder = None
     if arguments.record:
-        parts = RecordingParts(arguments.record, {"side": side, "source": "teleoperation"})
+        parts = RecordingLog(arguments.record, {"side": side, "source": "teleoperation"})
         if parts.recovered:
             warn(f"an earlier session to {arguments.record} was interrupted; it is kept as {parts.recovered}")
         recorder = GloveRecorder(scenario.retargeting.period, parts)

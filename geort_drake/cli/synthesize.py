@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _average(arguments: argparse.Namespace) -> int:
     from geort_drake import read_recording, synthesize_play
     from geort_drake.console import warn
-    from geort_drake.people.checks import examine, refuse, with_warnings
+    from geort_drake.people.checks import examine
     from geort_drake.people.human_hand import HumanHand
 
     output, hand = output_file(".npz")(arguments.output), None
@@ -57,12 +57,10 @@ def _average(arguments: argparse.Namespace) -> int:
         except RecordingError as error:
             raise RecordingError(f"{arguments.hand_of}: {error}") from error
     rate = arguments.rate or _RATE_HZ
-    made = synthesize_play(arguments.seed, arguments.duration, rate, hand, side=arguments.side)
-    recording, findings = examine(made)
-    refuse(str(output), findings)
-    with_warnings(recording, findings).save(output)
-    for finding in findings:
-        warn(str(finding))
+    recording = examine(synthesize_play(arguments.seed, arguments.duration, rate, hand, side=arguments.side))
+    recording.save(output)
+    for sentence in recording.metadata["warnings"]:
+        warn(sentence)
     size = f"{len(recording)} frames at {recording.rate_hz:g} Hz"
     finish({"Recording": f"{output} ({size})"}, command("grasp", "--recording", output))
     return 0

@@ -13,9 +13,7 @@ from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.messages import GloveFrame, decode
 from geort_drake.live.sender_clock import SenderClock
 from geort_drake.live.transports import Receiver, wait_for
-from geort_drake.people.checks import anatomy, refuse
-from geort_drake.people.keypoints import FINGER_KEYPOINTS
-from geort_drake.people.recording import SIDES, Recording
+from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.systems.port_values import vector_to_pose
 from geort_drake.systems.python_system import PythonSystem
 
@@ -28,15 +26,6 @@ MAX_LATENESS_S = 0.2
 # A sender's clock that runs slow by more than this is reported, s/s.
 NOTABLE_DRIFT = 0.005
 HANDSHAKE_FRAMES = 5
-_CHECKS = (
-    anatomy.check_order,
-    anatomy.check_unit,
-    anatomy.check_frame,
-    anatomy.check_bones,
-)
-# A hand whose thumb's MCP joint is farther behind the palm is of the other side, m. No recorded hand's was;
-# most mirrored hands' are.
-_BEHIND_M = 0.005
 
 # Indices in the state.
 _KEYPOINTS, _POSE = slice(0, 63), slice(63, 70)
@@ -203,15 +192,4 @@ def require_hand(points: np.ndarray, side: str) -> None:
         RecordingError: the keypoints are no hand, or not in the expected frame, order or unit.
         MismatchError: the thumb is behind the palm.
     """
-    t = np.arange(len(points), dtype=float)
-    hand = Recording(t, points, np.ones(len(t), bool), metadata={"side": side})
-    for check in _CHECKS:
-        refuse("the glove", check(hand))
-    # The check of recordings, by the direction of bending, fails for straight fingers, which bend backwards.
-    x = float(np.median(points[:, FINGER_KEYPOINTS["thumb"][1], 0]))
-    if x < -_BEHIND_M:
-        other = SIDES[1 - SIDES.index(side)]
-        raise MismatchError(
-            f"the glove: the thumb is {-1e3 * x:.0f} mm behind the palm, so this is a {other} hand or a "
-            f"{side} one in mirrored axes"
-        )
+    require_wrist_frame_hand(points, "the glove")

@@ -30,10 +30,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import LiveError, MismatchError
-from geort_drake.people.formats.manus import NODE_COUNT, keypoints_of_nodes
+from geort_drake.people.checks import NORM_REPAIRABLE, NORM_TOLERANCE
+from geort_drake.people.formats import NODE_COUNT, keypoints_of_nodes
 from geort_drake.people.keypoints import KEYPOINT_COUNT, mirrored, to_wrist_frame, wrist_pose
 from geort_drake.people.recording import SIDES
-from geort_drake.people.repairs import NORM_REPAIRABLE, NORM_TOLERANCE
 
 FORMAT, VERSION = "geort_drake.glove", 1
 _FIELDS = {"format", "version", "unit", "side", "time", "p_HK", "X_WH"}

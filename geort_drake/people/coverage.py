@@ -2,10 +2,11 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES, TIP_KEYPOINT, WRIST
+from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES, TIP_KEYPOINT, WRIST, bone_lengths
 from geort_drake.people.recording import PINCH_M, Recording
 
 # The required range of each motion, deg, and how to make it. It is half of the smaller range in two glove
@@ -126,3 +127,44 @@ def fingertip_speeds(recording: Recording) -> np.ndarray:
     both = recording.valid[kept[1:]] & recording.valid[kept[:-1]]
     p_HF = recording.p_HK[:, 4::4][kept].astype(float)
     return (np.linalg.norm(np.diff(p_HF, axis=0), axis=-1) / np.diff(recording.t[kept])[:, None])[both]
+
+
+def figures(recording: Recording) -> dict[str, Any]:
+    """Returns the figures of a checked recording for reports, of JSON types; units are in the names."""
+    lengths = bone_lengths(recording.p_HK[recording.valid])
+    speed = fingertip_speeds(recording)
+    tracked = recording.metadata.get("wrist_position_tracked", True)
+    return {
+        "format": recording.metadata.get("format", "geort_drake"),
+        "side": recording.side,
+        "recorded_side": recording.metadata.get("recorded_side"),
+        "frames": len(recording),
+        "valid_frames": int(recording.valid.sum()),
+        "duration_s": recording.duration_s,
+        "rate_hz": recording.rate_hz,
+        "rate_known": bool(recording.metadata.get("rate_known", True)),
+        "wrist": "none" if recording.X_WH is None else "pose" if tracked else "orientation",
+        "sha256": recording.digest,
+        "fingers": {
+            finger: {
+                "bones_mm": bones.tolist(),
+                "bones_vary_percent": float(spread.max()),
+                "speed_median_m_s": float(np.median(of_tip)),
+                "speed_p95_m_s": float(np.percentile(of_tip, 95)),
+                "pinch_frames": None if distance is None else int((distance < PINCH_M).sum()),
+            }
+            for finger, bones, spread, of_tip, distance in zip(
+                FINGER_NAMES,
+                1e3 * np.median(lengths, axis=0).reshape(5, 4),
+                100 * (lengths.std(axis=0) / lengths.mean(axis=0)).reshape(5, 4),
+                speed.T,
+                (None, *pinch_distances(recording).values()),
+                strict=True,
+            )
+        },
+        "coverage": [
+            {"motion": motion.name, "seen": motion.seen, "required": motion.required, "unit": motion.unit}
+            | {"enough": motion.enough}
+            for motion in coverage(recording)
+        ],
+    }

@@ -15,9 +15,9 @@ import numpy as np
 from joblib.externals.loky import ProcessPoolExecutor
 from scipy.spatial.transform import Rotation
 
+from geort_drake.errors import RecordingError
 from geort_drake.people import play
-from geort_drake.people.checks.anatomy import check_bones, check_order, check_unit
-from geort_drake.people.checks.findings import Severity
+from geort_drake.people.checks import check_bones, check_order, check_unit
 from geort_drake.people.device import Device
 from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import KEYPOINT_COUNT
@@ -240,8 +240,12 @@ def _readable(device: Device, hand: HumanHand, rest: np.ndarray, rng: np.random.
     t = np.arange(60) / 30.0
     p_HK = device.measure(np.repeat(hand.keypoints(rest)[None], len(t), axis=0), 30.0, rng)
     recording = Recording(t, p_HK, np.ones(len(t), bool))
-    found = (finding for check in (check_order, check_unit, check_bones) for finding in check(recording))
-    return all(finding.severity is not Severity.ERROR for finding in found)
+    try:
+        for check in (check_order, check_unit, check_bones):
+            check(recording)
+    except RecordingError:
+        return False
+    return True
 
 
 def _sample_hand(rng: np.random.Generator) -> HumanHand:

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.files import atomic_path, require_fetched
-from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.files import atomic_path
+from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT, mirrored, to_wrist_frame, wrist_pose
 
 # Incremented when the meaning of p_HK changes, so that old files are recognised.
 CONVENTION = 1
@@ -149,35 +149,83 @@ class Recording:
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "Recording":
-        """Reads a file written by `save`, without repairs and checks (see `read_recording`).
+        """Reads a file written by `save`, without checks (see `read_recording`).
 
         Raises:
             RecordingError: the file is missing, not a recording, or of another convention.
         """
-        return cls.from_arrays(str(path), load_arrays(path))
+        arrays = load_arrays(path)
+        try:
+            return cls.from_arrays(arrays)
+        except RecordingError as error:
+            raise RecordingError(f"{path}: {error}") from None
 
     @classmethod
-    def from_arrays(cls, name: str, arrays: Mapping[str, np.ndarray]) -> "Recording":
-        """Makes a recording from the arrays that `save` writes; raises as `load` does, for file `name`."""
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Recording":
+        """Makes a recording from the arrays that `save` writes; raises as `load` does."""
         missing = [field for field in ("t", "p_HK", "valid", "metadata") if field not in arrays]
         if missing:
-            raise RecordingError(f"{name}: not a recording: it lacks {', '.join(missing)}")
+            raise RecordingError(f"not a recording: it lacks {', '.join(missing)}")
         try:
             metadata = json.loads(str(arrays["metadata"]))
         except (ValueError, RecursionError) as error:
-            raise RecordingError(f"{name}: metadata is not JSON ({error})") from None
+            raise RecordingError(f"metadata is not JSON ({error})") from None
         if not isinstance(metadata, dict) or metadata.get("side") not in SIDES:
-            raise RecordingError(f"{name}: metadata must name a side, one of: {', '.join(SIDES)}")
+            raise RecordingError(f"metadata must name a side, one of: {', '.join(SIDES)}")
         if metadata.get("convention") != CONVENTION:
             raise RecordingError(
-                f"{name}: convention {metadata.get('convention')} is not supported; expected {CONVENTION}"
+                f"convention {metadata.get('convention')} is not supported; expected {CONVENTION}"
             )
+        optional = {name: arrays.get(name) for name in _OPTIONAL}
         metadata = _checked_metadata(metadata)
-        try:
-            optional = {name: arrays.get(name) for name in _OPTIONAL}
-            return cls(arrays["t"], arrays["p_HK"], arrays["valid"], metadata=metadata, **optional)
-        except RecordingError as error:
-            raise RecordingError(f"{name}: {str(error).removeprefix('recording: ')}") from None
+        return cls(arrays["t"], arrays["p_HK"], arrays["valid"], metadata=metadata, **optional)
+
+    @classmethod
+    def from_keypoints(
+        cls, p_WK: np.ndarray, t: np.ndarray, side: str = "right", in_world: bool = False
+    ) -> "Recording":
+        """Makes a recording from keypoints in any frame, unchecked; `people.checks.examine` checks it.
+
+        Args:
+            p_WK: (T, 21, 3) keypoints of the real hand, m; frames with NaN become invalid.
+            t: (T,) times, s; the recording's begin at 0.
+            side: "right" or "left".
+            in_world: whether W is fixed in space, so that the wrist's pose is kept.
+
+        Raises:
+            RecordingError: the shapes do not fit, or there is no such side.
+        """
+        t, p_WK = np.asarray(t, dtype=float), np.asarray(p_WK, dtype=float)
+        if side not in SIDES or p_WK.shape != (len(t), KEYPOINT_COUNT, 3):
+            raise RecordingError(
+                f"a recording needs keypoints of shape (T, 21, 3), T times and a side of "
+                f"{', '.join(SIDES)}, not {p_WK.shape}, {t.shape} and '{side}'"
+            )
+        p_VK = mirrored(p_WK) if side == "left" else p_WK
+        with np.errstate(invalid="ignore", over="ignore"):
+            p_HK = to_wrist_frame(p_VK)
+        valid = np.isfinite(p_HK).all(axis=(1, 2))
+        metadata: dict = {"side": side}
+        X_WH = _wrist_poses(p_VK, valid) if in_world else None
+        if X_WH is not None:
+            travel = np.abs(X_WH[valid, 4:] - X_WH[valid, 4:][:1]).max(initial=0.0)
+            # A glove without a tracker measures the wrist's orientation, but not its position.
+            metadata["wrist_position_tracked"] = bool(travel > 1e-3)
+        return cls(t - t[:1], p_HK, valid, X_WH, metadata)
+
+
+def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Computes wrist poses X_WH (T, 7) from keypoints; frames that are not `known` get the identity."""
+    from scipy.spatial.transform import Rotation  # not needed on a robot's computer
+
+    R_WH, p_WH = wrist_pose(p_WK)
+    known = known & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)  # where squares overflow, R is unknown
+    R_WH, p_WH = np.where(known[:, None, None], R_WH, np.eye(3)), np.where(known[:, None], p_WH, 0.0)
+    quaternions = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)
+    # Signs are chosen so that neighbouring quaternions are close and can be interpolated.
+    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
+    signs = np.where(np.concatenate([[0], np.cumsum(flips)]) % 2, -1.0, 1.0)
+    return np.concatenate([quaternions * signs[:, None], p_WH], axis=1)
 
 
 def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
@@ -222,11 +270,10 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
 
 
 def check_file(path: Path) -> None:
-    """Raises RecordingError unless `path` is a file of at most `MAX_BYTES` and not a Git LFS pointer."""
+    """Raises RecordingError unless `path` is a file of at most `MAX_BYTES`."""
     if not path.is_file():
         raise RecordingError(f"{path}: no such file")
     _check_size(path, path.stat().st_size)
-    require_fetched(path, RecordingError)
 
 
 def _check_size(path: Path, size: int) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from geort_drake.errors import CheckpointError, GeortError
+from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.base import Retargeter, require_array
 from geort_drake.retargeting.mlp import MlpRetargeter
@@ -136,9 +137,11 @@ class UniversalRetargeter(Retargeter):
         Its `trained_space` contains the positions of the fingertips in these frames.
 
         Raises:
-            ValueError, GeortError: as in a call.
+            ValueError, GeortError: as in a call, and for keypoints that are no hand in m in the wrist frame.
         """
         p_HK = np.asarray(p_HK, dtype=float)
+        if p_HK.shape[-2:] == (KEYPOINT_COUNT, 3) and np.isfinite(p_HK).all():
+            require_wrist_frame_hand(p_HK)
         retargeter = self.folded(self.code(p_HK))
         keypoints = list(self.human_keypoints)
         p_HF = p_HK.reshape(-1, KEYPOINT_COUNT, 3)[:, keypoints]

@@ -8,11 +8,11 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.people.recording import Recording
-from geort_drake.people.recording_parts import RecordingParts
+from geort_drake.people.recording_log import RecordingLog
 from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.python_system import PythonSystem
 
-_PART_S = 5.0  # s; length of a part
+_PART_S = 1.0  # s; length of a part, which a crash loses
 
 
 class GloveRecorder(PythonSystem):
@@ -40,7 +40,7 @@ class GloveRecorder(PythonSystem):
     def __init__(
         self,
         period: float,
-        parts: RecordingParts | None = None,
+        parts: RecordingLog | None = None,
         part: float = _PART_S,
         robot: Mapping[str, Sequence[str]] | None = None,
     ):
@@ -76,7 +76,7 @@ class GloveRecorder(PythonSystem):
         t, p_HK, valid, X_WH, robot = self._arrays()
         return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}), robot)
 
-    def switch(self, parts: RecordingParts | None) -> RecordingParts | None:
+    def switch(self, parts: RecordingLog | None) -> RecordingLog | None:
         """Writes later samples to other parts, or drops them; returns the previous parts, complete."""
         previous = self._parts
         if previous is not None and self._samples:
@@ -86,14 +86,14 @@ class GloveRecorder(PythonSystem):
         return previous
 
     def finish(self) -> bool:
-        """Joins the parts into one file; see `RecordingParts.finish`."""
+        """Joins the parts into one file; see `RecordingLog.finish`."""
         if self._parts is None:
             raise ValueError("this recorder has no parts; call `recording` instead")
         if self._samples:
             self._write(self._parts)
         return self._parts.finish()
 
-    def _write(self, parts: RecordingParts) -> None:
+    def _write(self, parts: RecordingLog) -> None:
         parts.append(*self._arrays())
         self._samples.clear()
 

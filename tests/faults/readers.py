@@ -13,13 +13,11 @@ from hand_family import HandSpec, write_hand
 from live_messages import manus_glove, manus_words, nodes_of, own_fields
 
 from faults.sound import map_file
-from geort_drake import HandModel, load_retargeter, load_scenario
+from geort_drake import HandModel, load_retargeter, load_scenario, read_recording
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.live.messages import decode
 from geort_drake.live.robot_buses import ALLEGRO, PANDA
-from geort_drake.people.checks import examine
-from geort_drake.people.readers import open_recording
 from geort_drake.simulation.tasks import find_task
 
 FRAMES = 60  # of a recording: enough to be one, and read quickly
@@ -53,10 +51,7 @@ def _recordings(folder: Path) -> list[Reader]:
     hand, readers = moving().part(slice(FRAMES)), []
     for name, write in WRITERS.items():
         path = write(_room(folder, name), hand)
-        if path.is_dir():  # HO-3D's pickles, of which one is changed
-            readers.append(Reader(name, sorted(path.iterdir())[3], recording_folder))
-        else:
-            readers.append(Reader(name, path, recording))
+        readers.append(Reader(name, path, recording))
     return readers
 
 
@@ -94,13 +89,9 @@ def _room(folder: Path, name: str) -> Path:
 
 
 def recording(path: Path) -> None:
-    read, _ = examine(open_recording(path)[0])
+    read = read_recording(path)
     count = len(read.t)
     assert read.p_HK.shape == (count, 21, 3) and read.valid.shape == (count,), "arrays of wrong shapes"
-
-
-def recording_folder(path: Path) -> None:
-    recording(path.parent)
 
 
 def retargeter(path: Path) -> None:

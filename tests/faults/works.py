@@ -19,7 +19,7 @@ from pydrake.systems.framework import DiagramBuilder
 from faults.sound import play, smooth_retargeter
 from geort_drake import GloveReplay, Recording
 from geort_drake.cli import run_command
-from geort_drake.people.recording_parts import RecordingParts
+from geort_drake.people.recording_log import RecordingLog
 from geort_drake.systems.glove_recorder import GloveRecorder
 
 ROW_ID = "rerun.controls.RowId"
@@ -82,7 +82,7 @@ def teleoperate(seed: int) -> None:
     session = Recording(play().t[part] - play().t[part][0], play().p_HK[part], play().valid[part])
     builder = DiagramBuilder()
     replay = builder.AddSystem(GloveReplay(session))
-    parts = RecordingParts("session.npz", {"side": "right"})
+    parts = RecordingLog("session.npz", {"side": "right"})
     recorder = builder.AddSystem(GloveRecorder(0.01, parts, part=0.1))
     for name in ("keypoints", "wrist_pose", "valid"):
         builder.Connect(replay.GetOutputPort(name), recorder.GetInputPort(name))

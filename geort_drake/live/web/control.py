@@ -16,7 +16,7 @@ from geort_drake.live.session import SteadyState
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation
-from geort_drake.people.recording_parts import RecordingParts
+from geort_drake.people.recording_log import RecordingLog
 from geort_drake.systems.glove_recorder import GloveRecorder
 
 _STATE_S = 0.1  # s between two states
@@ -61,7 +61,7 @@ class PageControl:
         self._root: Context
         self._published = -math.inf
         self._consent = False
-        self._parts: RecordingParts | None = None
+        self._parts: RecordingLog | None = None
         self._finishing: list[threading.Thread] = []
 
     def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
@@ -154,7 +154,7 @@ class PageControl:
         if self.recorder.robot_signals:
             facts["robot_signals"] = self.recorder.robot_signals
         try:
-            self._parts = RecordingParts(self._folder / f"{name}.npz", facts)
+            self._parts = RecordingLog(self._folder / f"{name}.npz", facts)
         except GeortError as error:
             self.note, self._consent = str(error), False
             return

@@ -8,7 +8,7 @@ from geort_drake.errors import LiveError
 from geort_drake.live.messages import GloveFrame, frame_of_points
 from geort_drake.live.web.messages import Camera, Headset
 from geort_drake.live.web.one_euro import OneEuroFilter
-from geort_drake.people.formats.source import KEYPOINTS_OF_25
+from geort_drake.people.formats import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, WRIST, bone_lengths
 
 # The camera's angle of view along the picture's longer side; laptops and phones have 60° to 75°.

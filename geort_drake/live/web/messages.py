@@ -6,7 +6,7 @@ import msgspec
 from msgspec import Meta
 
 from geort_drake.errors import LiveError
-from geort_drake.people.formats.manus import NODE_COUNT
+from geort_drake.people.formats import NODE_COUNT
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 
 VERSION = 1

@@ -1,0 +1,382 @@
+"""Checks that a recording shows a hand: order of the keypoints, unit, side, lost frames, bones.
+
+A check returns sentences about what is suspicious; it raises RecordingError for what leaves the meaning open.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from geort_drake.errors import MismatchError, RecordingError
+from geort_drake.people.coverage import pinch_distances
+from geort_drake.people.keypoints import (
+    BONES,
+    FINGER_KEYPOINTS,
+    KEYPOINT_COUNT,
+    MIDDLE_MCP,
+    WRIST,
+    bone_lengths,
+    mirrored,
+    to_wrist_frame,
+)
+from geort_drake.people.recording import PINCH_M, SIDES, Recording
+
+UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254, "dm": 0.1}
+# Orders of published data sets: the keypoint at each of the 21 positions in a file.
+EXPECTED = "wrist, then thumb to little finger, base to tip (MediaPipe)"
+_TIPS_FIRST = tuple(k for chain in FINGER_KEYPOINTS.values() for k in chain[::-1])
+ORDERS: dict[str, tuple[int, ...]] = {
+    EXPECTED: tuple(range(21)),
+    "MANO's joints, then the tips (HO-3D)": (
+        0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20,
+    ),
+    "wrist, then each finger from tip to base (RHD)": (0, *_TIPS_FIRST),
+    "each finger from tip to base, then the wrist (InterHand2.6M)": (*_TIPS_FIRST, 0),
+}  # fmt: skip
+# Deviations of a quaternion's norm from 1 that are accepted, and those that are normalised.
+NORM_TOLERANCE, NORM_REPAIRABLE = 1e-2, 0.2
+
+_PALM_M = (0.060, 0.110)  # wrist to middle knuckle, from a child of ten to a large adult
+_JITTER = 5e-4  # of a glove's bone lengths, as a fraction of the palm's length
+_MIN_BEND_SINE = 0.02  # mean over the fingers; below it, the side cannot be determined
+_FRAME_TOLERANCE_M = 0.005  # between a keypoint and its position by the definition of H
+# Largest deviation of a bone from its median length, relative plus absolute; cameras vary by 4 to 16 %.
+_BONE_DEVIATION, _BONE_DEVIATION_M = 0.75, 0.01
+_NOISY_SPREAD, _UNUSABLE_SPREAD = 0.03, 0.25  # of a bone: standard deviation over mean
+# A thumb's MCP joint farther behind the palm is of the other side, m; no recorded hand's was.
+_THUMB_MCP, _BEHIND_M = 2, 0.005
+_BACKWARDS_SINE = 0.3  # mean; hyperextended straight fingers bend back by less
+_MAX_LOST = 0.1  # a recording with a larger fraction of lost frames is refused
+# In a spike, a keypoint moves by more than this and returns in the next frame: ten times a glove's jitter.
+_SPIKE_M = 0.02
+_GAP_S, _MISSING_FRACTION = 0.2, 0.05  # a glove at 118 Hz over radio loses 4 % of its frames
+_RATE_HZ = (2.0, 2000.0)  # plausible range
+_TRAINING_FRAMES = 300
+
+
+def examine(recording: Recording) -> Recording:
+    """Runs all checks on a recording in frame H.
+
+    Returns:
+        The recording, with unusable frames marked invalid and all sentences in `metadata["warnings"]`.
+
+    Raises:
+        RecordingError: the meaning of the recording is open, or too little of it is usable.
+    """
+    check_clock(recording)
+    sentences = [*check_order(recording), *check_unit(recording), *check_side(recording)]
+    recording, lost = mark_lost_frames(recording)
+    sentences += [*lost, *check_bones(recording)]
+    warnings = dict.fromkeys([*recording.metadata.get("warnings", []), *sentences])
+    return dataclasses.replace(recording, metadata={**recording.metadata, "warnings": list(warnings)})
+
+
+def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> None:
+    """Refuses keypoints that are not a person's hand in metres in the wrist frame H.
+
+    Args:
+        p_HK: (21, 3) or (T, 21, 3) keypoints, m; frames that are not finite are ignored.
+        name: what the keypoints are, for messages.
+
+    Raises:
+        RecordingError: another shape, no finite frame, another unit or order, or points that are not in H.
+            The message names what would be right.
+        MismatchError: a hand of the other side.
+    """
+    p = np.asarray(p_HK, dtype=float)
+    if p.ndim not in (2, 3) or p.shape[-2:] != (KEYPOINT_COUNT, 3):
+        raise RecordingError(f"{name}: must have the shape (21, 3) or (T, 21, 3), not {p.shape}")
+    p = p.reshape(-1, KEYPOINT_COUNT, 3)
+    p = p[np.isfinite(p).all(axis=(1, 2))]
+    if not len(p):
+        raise RecordingError(f"{name}: no frame has finite keypoints")
+    try:
+        _require_order(p)
+        _require_size(p)
+        off = float(np.nanmedian(np.linalg.norm(to_wrist_frame(p) - p, axis=-1).max(axis=1)))
+        if not off < _FRAME_TOLERANCE_M:
+            raise RecordingError(
+                "keypoints must be given in the wrist frame H (origin at the wrist, z to the middle knuckle, "
+                f"y to the index side), but are off by {1e3 * off:.0f} mm; transform them with "
+                "geort_drake.people.keypoints.to_wrist_frame"
+            )
+    except RecordingError as error:
+        raise RecordingError(f"{name}: {error}") from None
+    # How fingers bend tells less in a single frame: straight fingers bend backwards.
+    behind = -float(np.median(p[:, _THUMB_MCP, 0]))
+    if behind > _BEHIND_M or _mean_bending(p) < -_BACKWARDS_SINE:
+        raise MismatchError(
+            f"{name}: the thumb is {1e3 * behind:.0f} mm behind the palm or the fingers bend backwards: "
+            "this is a hand of the other side, or one in mirrored axes"
+        )
+
+
+def check_clock(recording: Recording) -> None:
+    """Refuses fewer than two frames, times that do not increase, and implausible rates."""
+    t = recording.t
+    if len(t) < 2:
+        raise RecordingError(f"at least 2 frames are needed, {len(t)} given (t)")
+    bad = ~np.isfinite(t) | (np.diff(t, prepend=-np.inf) <= 0)
+    if bad.any():
+        frame = int(np.argmax(bad))
+        raise RecordingError(f"times must be finite and increase, but frame {frame} has {t[frame]:.6f} s (t)")
+    low, high = _RATE_HZ
+    if not low <= recording.rate_hz <= high:
+        factors = (10.0**power for power in (-9, -6, -3, 3, 6, 9))
+        fit = next((factor for factor in factors if 10 <= recording.rate_hz / factor <= 1000), None)
+        raise RecordingError(
+            f"times must give {low:g} to {high:g} frames in a second, but give {recording.rate_hz:.3g} (t)"
+            + (f"; it would be right if times were multiplied by {fit:g}: check their unit" if fit else "")
+        )
+
+
+def check_order(recording: Recording) -> list[str]:
+    """Refuses keypoints that are in another order than the expected one."""
+    _require_order(_finite(recording))
+    return []
+
+
+def check_unit(recording: Recording) -> list[str]:
+    """Refuses a hand that has no person's size in metres."""
+    _require_size(_finite(recording), recording.metadata.get("unit"))
+    return []
+
+
+def check_side(recording: Recording) -> list[str]:
+    """Refuses a hand of the other side, and mirrored axes, by how the fingers bend."""
+    side, bending = recording.side, _mean_bending(_finite(recording))
+    other = SIDES[1 - SIDES.index(side)]
+    if bending < -_MIN_BEND_SINE:
+        raise RecordingError(
+            f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a {side} "
+            f"one in mirrored axes (such as Unity's, which are left-handed); read it with --side {other}, "
+            f"or to get a {side} hand, also if the axes are mirrored, convert it with --side {other} --mirror"
+        )
+    if bending < _MIN_BEND_SINE:
+        return [
+            "the fingers hardly bend, so the side of the hand cannot be checked; make a fist while recording"
+        ]
+    return []
+
+
+def mark_lost_frames(recording: Recording) -> tuple[Recording, list[str]]:
+    """Marks unusable frames as invalid, and refuses a recording in which they are more than one in ten.
+
+    Unusable are frames that are not finite, not in H, have bones of another length or no unit quaternion of
+    the wrist, or in which a keypoint jumps away and back.
+    """
+    known = np.isfinite(recording.p_HK).all(axis=2)
+    never = np.flatnonzero(~known.any(axis=0)).tolist()
+    if 0 < len(never) < KEYPOINT_COUNT:
+        raise RecordingError(
+            f"keypoints {', '.join(map(str, never))} are lost in all {len(recording)} frames (p_HK); check "
+            "that finger's sensor"
+        )
+    valid, count = recording.valid.copy(), len(recording)
+    sentences = list(_gaps(recording))
+    for what, is_bad in (
+        ("are not finite numbers", _not_finite),
+        ("are not in the wrist frame H", _off_frame),
+        ("have bones of another length", _other_bones),
+        ("have a keypoint that jumps away and back", _spikes),
+    ):
+        bad = is_bad(recording) & valid
+        if bad.any():
+            valid &= ~bad
+            first = int(np.argmax(bad))
+            sentences.append(f"{bad.sum()} of {count} frames {what}, the first is frame {first}: invalid")
+    lost = count - int(valid.sum())
+    newly = lost - int((~recording.valid).sum())
+    if valid.sum() < 2 or newly > _MAX_LOST * count:
+        reasons = "; ".join(sentences) or "none is valid"
+        raise RecordingError(f"{lost} of {count} frames are unusable, at most one in ten may be: {reasons}")
+    return dataclasses.replace(recording, valid=valid), sentences
+
+
+def check_bones(recording: Recording) -> list[str]:
+    """Refuses keypoints that coincide, and bones whose lengths change as those of 2-D landmarks do."""
+    length = bone_lengths(_finite(recording))
+    median = np.median(length, axis=0)
+    if median.min() < 1e-3:
+        parent, child = BONES[int(np.argmin(median))]
+        raise RecordingError(f"keypoints {parent} and {child} coincide (p_HK); 21 distinct ones are needed")
+    spread = length.std(axis=0) / length.mean(axis=0)
+    parent, child = BONES[int(np.argmax(spread))]
+    if spread.max() < _NOISY_SPREAD:
+        return []
+    what = f"bone {parent}–{child} changes its length by {spread.max():.0%} (deviation over mean)"
+    if spread.max() > _UNUSABLE_SPREAD:
+        raise RecordingError(f"{what}; over {_UNUSABLE_SPREAD:.0%} is unusable: give 3-D keypoints in m")
+    return [f"{what}; a glove's change by less than {_NOISY_SPREAD:.0%}"]
+
+
+def training_faults(recording: Recording) -> list[str]:
+    """Returns sentences about what makes a recording unfit for training; none if it is fit."""
+    faults, valid = [], int(recording.valid.sum())
+    if valid < _TRAINING_FRAMES:
+        faults.append(
+            f"{valid} valid frames, training needs at least {_TRAINING_FRAMES}; record five minutes"
+        )
+    if all(distance.min() >= PINCH_M for distance in pinch_distances(recording).values()):
+        faults.append(
+            f"the thumb never comes within {1e3 * PINCH_M:.0f} mm of a finger (p_HK); pinch each finger a "
+            "few times while recording"
+        )
+    return faults
+
+
+def bent_side(p_WK: np.ndarray, side: str) -> str:
+    """Finds the side of keypoints p_WK (T, 21, 3) in any frame from how the fingers bend.
+
+    Returns `side`, as stated by the file, if the fingers hardly bend or no frame is complete.
+    """
+    p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
+    p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
+    backwards = len(p_HK) > 0 and _mean_bending(p_HK) < -_MIN_BEND_SINE
+    return SIDES[1 - SIDES.index(side)] if backwards else side
+
+
+def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
+    """Finds the order of `ORDERS` in which keypoints p (T, 21, 3), in any frame and unit, form a hand.
+
+    Orders are judged by ratios of distances, which do not depend on frame, unit or mirroring. The expected
+    order is preferred if it fits nearly as well as another. If no order fits, the first value is None and the
+    second describes what contradicts the expected order; otherwise it is empty.
+    """
+    p = p[np.linspace(0, len(p) - 1, min(len(p), 200)).astype(int)].astype(float)
+    distances = np.linalg.norm(p[:, :, None] - p[:, None], axis=-1)
+    middle = np.median(distances, axis=0)
+    spread = np.median(np.abs(distances - middle), axis=0)
+    parents, children = np.array(BONES).T
+    fits: dict[str, float] = {}
+    for name, order in ORDERS.items():
+        grid = np.ix_(np.argsort(order), np.argsort(order))
+        if not any(_contradictions(middle[grid])):
+            fits[name] = float(spread[grid][parents, children].mean() / middle[grid][0, 9])
+    if not fits:
+        return None, next(_contradictions(middle))
+    best = min(fits, key=lambda name: fits[name])
+    return EXPECTED if fits.get(EXPECTED, np.inf) <= 2 * fits[best] + _JITTER else best, ""
+
+
+def _contradictions(distance: np.ndarray) -> Iterator[str]:
+    """Yields what in the median distances (21, 21) of keypoints contradicts the expected order."""
+    knuckles = distance[0, [5, 9, 13, 17]]
+    if distance[0, 1] > 0.75 * knuckles.min():
+        yield "keypoint 1, the thumb's base, is not nearer to the wrist than the knuckles are"
+    if knuckles.min() < 0.7 * knuckles.max():
+        yield "the knuckles 5, 9, 13 and 17 are not about equally far from the wrist"
+    from_index = distance[5, 9] < distance[5, 13] < distance[5, 17]
+    from_little = distance[17, 13] < distance[17, 9] < distance[17, 5]
+    if not (from_index and from_little):
+        yield "the knuckles 5, 9, 13 and 17 do not follow each other across the palm"
+    if distance[2, 5] > distance[2, 17]:
+        yield "keypoint 2, of the thumb, is nearer to 17, the little finger, than to 5, the index finger"
+    longest = max((bone for bone in BONES if bone[0] != 0), key=lambda bone: distance[bone])
+    if distance[longest] > 0.75 * distance[0, 9]:
+        yield f"{longest[0]} and {longest[1]}, the ends of a finger's bone, are nearly a palm apart"
+    # Even in a fist, a joint is slightly farther from the joint after the next than from the next.
+    for finger, chain in FINGER_KEYPOINTS.items():
+        for a, b, c in zip(chain, chain[1:], chain[2:], strict=False):
+            if distance[a, c] < 0.9 * distance[a, b]:
+                yield f"keypoint {c}, of the {finger}, is nearer to {a} than {b}, which lies between them"
+
+
+def _require_order(p: np.ndarray) -> None:
+    order, contradiction = fitting_order(p)
+    if order != EXPECTED:
+        given = f"a hand in this order: {order}" if order else f"no hand in any known order: {contradiction}"
+        raise RecordingError(f"wrong joint order: keypoints must be {EXPECTED}, but are {given} (p_HK)")
+
+
+def _require_size(p: np.ndarray, unit: str | None = None) -> None:
+    palm = float(np.median(np.linalg.norm(p[:, MIDDLE_MCP] - p[:, WRIST], axis=-1)))
+    low, high = _PALM_M
+    if low <= palm <= high:
+        return
+    # The unit in which the file was read; geort-drake's own files are in metres and state none.
+    number = palm / UNITS_M[unit or "m"]
+    fits = [other for other, size in UNITS_M.items() if low <= number * size <= high]
+    message = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
+    message += f"; it would be right if lengths were in {fits[0]}" if fits else ""
+    raise RecordingError(message + (f": convert it with --unit {fits[0]}" if fits and unit else ""))
+
+
+def _mean_bending(p_HK: np.ndarray) -> float:
+    """Computes the mean sine of the angle from the fingers' first to their last bones; p_HK is (T, 21, 3).
+
+    Fingers bend towards +x in every pose of the hand, so the first bone turns to the last one about +y. In a
+    mirror image y and z stay the same and x = y × z changes sign, so the sine is negative.
+    """
+    first, last = (
+        np.stack([p_HK[:, k[i + 1]] - p_HK[:, k[i]] for k in list(FINGER_KEYPOINTS.values())[1:]], axis=1)
+        for i in (0, 2)
+    )
+    size = np.linalg.norm(first, axis=-1) * np.linalg.norm(last, axis=-1)
+    return float((np.cross(first, last)[..., 1] / np.maximum(size, 1e-12)).mean())
+
+
+def _finite(recording: Recording) -> np.ndarray:
+    p = recording.p_HK[recording.valid].astype(float)
+    p = p[np.isfinite(p).all(axis=(1, 2))]
+    if not len(p):
+        raise RecordingError("no frame is valid and has finite keypoints (p_HK)")
+    return p
+
+
+def _gaps(recording: Recording) -> Iterator[str]:
+    step = np.diff(recording.t)
+    missing = int((np.round(step / np.median(step)) - 1).clip(0).sum())
+    if step.max() > _GAP_S or missing > _MISSING_FRACTION * (len(step) + missing):
+        frame = int(np.argmax(step)) + 1
+        yield (
+            f"{missing} frames are missing, the longest gap is {step.max():.2f} s before frame {frame}; "
+            "check the radio link and the recorder's load"
+        )
+    # Rounding errors when the wrist moves are smaller; a glove's jitter is 0.05 mm.
+    same: np.ndarray = np.abs(np.diff(recording.p_HK, axis=0)).max(axis=(1, 2)) < 2e-7
+    if same.mean() > 0.5:
+        raise RecordingError(
+            f"{same.sum()} of {len(recording)} frames repeat the one before (p_HK): a frozen signal"
+        )
+    if same.mean() > 0.02:
+        yield f"{same.sum()} of {len(recording)} frames repeat the one before; training ignores them"
+
+
+def _not_finite(recording: Recording) -> np.ndarray:
+    bad = ~np.isfinite(recording.p_HK).all(axis=(1, 2))
+    if recording.X_WH is not None:
+        norm = np.linalg.norm(recording.X_WH[:, :4], axis=1)
+        bad |= ~np.isfinite(recording.X_WH).all(axis=1) | (np.abs(norm - 1.0) > NORM_TOLERANCE)
+    return bad
+
+
+def _off_frame(recording: Recording) -> np.ndarray:
+    p_HK = recording.p_HK.astype(float)
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.linalg.norm(to_wrist_frame(p_HK) - p_HK, axis=-1).max(axis=1)
+    return ~(off < _FRAME_TOLERANCE_M)
+
+
+def _other_bones(recording: Recording) -> np.ndarray:
+    length = bone_lengths(recording.p_HK)
+    median = np.median(bone_lengths(_finite(recording)), axis=0)
+    outlier = ~(np.abs(length - median) <= _BONE_DEVIATION * median + _BONE_DEVIATION_M).all(axis=1)
+    # Where bones vary as much as this in many frames, their spread tells more.
+    return outlier if outlier[recording.valid].mean() <= _MAX_LOST else np.zeros_like(outlier)
+
+
+def _spikes(recording: Recording) -> np.ndarray:
+    p = recording.p_HK.astype(float)
+    off = np.linalg.norm(p[1:-1] - 0.5 * (p[:-2] + p[2:]), axis=-1)
+    across = np.linalg.norm(p[2:] - p[:-2], axis=-1)
+    usable = recording.valid[1:-1] & recording.valid[:-2] & recording.valid[2:]
+    highest = np.where((off > _SPIKE_M) & (across < 0.5 * off) & usable[:, None], off, 0.0).max(
+        axis=1, initial=0
+    )
+    # The frames next to a spike deviate as well, by half as much.
+    beside = np.maximum(np.append(highest[1:], 0.0), np.append(0.0, highest[:-1]))[: len(highest)]
+    spikes = np.zeros(len(p), bool)
+    spikes[1:-1] = (highest > 0.0) & (highest >= beside)
+    return spikes

@@ -1,0 +1,580 @@
+"""The formats of recordings: a function each from a file's contents to times, keypoints and side.
+
+Contents are a dict of arrays (.npz, or .npy under the name "data"), a `Table` (.csv), or the objects of a
+JSON file. A field that is there is read or refused, never taken for absent: numbers in text count as
+numbers. A single frame that cannot be read shows no hand; `read_recording` counts such frames.
+"""
+
+import csv
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from geort_drake.errors import RecordingError
+from geort_drake.people.checks import bent_side
+from geort_drake.people.keypoints import KEYPOINT_COUNT
+from geort_drake.people.recording import SIDES, check_file, load_arrays
+
+NODE_COUNT = 25
+# The keypoints among 25 joints: wrist, four of the thumb, then five per finger, of which the first, the
+# base of the metacarpal, is no keypoint.
+KEYPOINTS_OF_25 = tuple(i for i in range(NODE_COUNT) if i not in (5, 10, 15, 20))
+
+_POINTS = (KEYPOINT_COUNT, 3)
+_TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs", "timestamp_ms")
+_SIDE_FIELDS = ("side", "chirality", "handedness", "hand")
+
+
+class Track(NamedTuple):
+    """One hand as a file stores it.
+
+    Attributes:
+        t: (T,) times, s, NaN where a frame has none; None if the file has none.
+        p_WK: (T, 21, 3) keypoints in the file's frame W, in `unit`; NaN where the hand is lost.
+        side: side that the file states, or None.
+        in_world: whether W is fixed in space, so that the wrist's pose means something.
+        unit: m, cm, mm or inch.
+        remarks: sentences about what was repaired.
+    """
+
+    t: np.ndarray | None
+    p_WK: np.ndarray
+    side: str | None = None
+    in_world: bool = False
+    unit: str = "m"
+    remarks: tuple[str, ...] = ()
+
+
+class Format(NamedTuple):
+    """One format: description, suffixes of its files, and its functions on a file's contents.
+
+    Attributes:
+        recognizes: tells whether contents have this format.
+        read: returns the hand of the requested side; raises RecordingError if the meaning is open.
+    """
+
+    title: str
+    suffixes: tuple[str, ...]
+    recognizes: Callable[[Any], bool]
+    read: Callable[[Any, str], Track]
+
+
+def read_keypoint_array(contents: Any, side: str) -> Track:
+    """Reads arrays of keypoints, such as GeoRT's.
+
+    (T, 21, 3) in .npy, m, in the wrist frame H or any other frame, such as MediaPipe's world landmarks.
+
+    Source: https://github.com/facebookresearch/GeoRT, README.
+    """
+    return Track(None, _array(contents, "data", _POINTS))
+
+
+def read_manus(contents: Any, side: str) -> Track:
+    """Reads MANUS raw skeletons.
+
+    `data` (T, 25, 7) of px py pz and a quaternion, m, and Unix `timestamps`, s. Nodes: wrist 0; thumb 1-4
+    (CMC, MCP, IP, tip); then five each of index to little finger: metacarpal base, MCP, PIP, DIP, tip.
+    Optional `keypoint_ids` (25) give the nodes' order, `chirality` the side.
+
+    Source: https://github.com/mimicrobotics/mimic_retargeter_lab, whose published recordings these are.
+    """
+    p_WN = _array(contents, "data", (NODE_COUNT, 7))[..., :3]
+    try:
+        numbers = np.asarray(contents.get("keypoint_ids", range(NODE_COUNT))).tolist()
+        p_WK = keypoints_of_nodes(p_WN, numbers)
+    except (TypeError, ValueError) as error:
+        raise RecordingError(f"keypoint_ids {error}") from None
+    return Track(_times(contents, len(p_WK)), p_WK, _side(contents), in_world=True)
+
+
+def keypoints_of_nodes(p_WN: np.ndarray, numbers: Sequence[int] = range(NODE_COUNT)) -> np.ndarray:
+    """Returns the 21 keypoints p_WK (..., 21, 3) of a MANUS skeleton's nodes p_WN (..., 25, 3).
+
+    Args:
+        p_WN: the nodes, in any frame W and unit.
+        numbers: number of each node, a permutation of 0 to 24.
+
+    Raises:
+        ValueError: the numbers are no such permutation.
+    """
+    if not isinstance(numbers, Sequence) or sorted(numbers) != list(range(NODE_COUNT)):
+        raise ValueError(f"must be the numbers 0 to {NODE_COUNT - 1} in some order")
+    return p_WN[..., np.argsort(numbers), :][..., KEYPOINTS_OF_25, :]
+
+
+_ELAPSED = "Elapsed_Time_In_Milliseconds"
+_CSV_JOINTS = ("Hand", *(f"Thumb_{joint}" for joint in ("CMC", "MCP", "DIP", "TIP"))) + tuple(
+    f"{finger}_{joint}"
+    for finger in ("Index", "Middle", "Ring", "Pinky")
+    for joint in ("MCP", "PIP", "DIP", "TIP")
+)
+_PALM_ENDS = ("Hand", "Index_CMC", "Pinky_CMC")
+
+
+def read_manus_csv(contents: Any, side: str) -> Track:
+    """Reads MANUS Core's CSV export.
+
+    `Elapsed_Time_In_Milliseconds` and joint positions. `Hand_X` is documented for Core 2.4 without a unit
+    (metres are assumed), `Hand_Position_X` in centimetres in published exports. MANUS documents neither
+    axes nor side; the file's name ends with _L or _R. If the fingers bend backwards, the axes are
+    left-handed, and x is negated. Without a tracker, the ends of the palm never move.
+
+    Sources: https://docs.manus-meta.com/2.4.0/Software/Rec/Exporting%20csv and
+    https://github.com/jeannebelorgey/Metaglove-Ergo-Analysis/tree/main/data
+    """
+    header = [name.strip() for name in contents.rows[0]]
+    infix, unit = ("_Position", "cm") if any("_CMC_Position_" in name for name in header) else ("", "m")
+    columns = [f"{joint}{infix}_{axis}" for joint in _CSV_JOINTS for axis in "XYZ"]
+    palm = [f"{joint}{infix}_{axis}" for joint in _PALM_ENDS for axis in "XYZ"]
+    if missing := [name for name in columns if name not in header]:
+        raise RecordingError(
+            f"the header lacks {len(missing)} of {len(columns)} columns, such as {missing[0]}"
+        )
+    if twice := [name for name in (*columns, _ELAPSED) if header.count(name) > 1]:
+        raise RecordingError(f"the header has the column {twice[0]} more than once")
+    rows = contents.rows[1:]
+    p_WK = np.stack([_cells(row, header, columns) for row in rows]).reshape(-1, *_POINTS)
+    t = None
+    if _ELAPSED in header:
+        place = header.index(_ELAPSED)
+        stamps = [row[place].strip() or None if place < len(row) else None for row in rows]
+        t = 1e-3 * _stamps(stamps, f"column {_ELAPSED}")
+    remarks: tuple[str, ...] = ()
+    stated = {"_L": "left", "_R": "right"}.get(contents.stem[-2:])
+    if stated == side and bent_side(p_WK, side) != side:
+        p_WK = p_WK * [-1, 1, 1]
+        remarks = (
+            f"the axes are left-handed: by its name a {side} hand, but its fingers bend backwards; x negated",
+        )
+    ends = np.stack([_cells(row, header, [name for name in palm if name in header]) for row in rows])
+    fixed = ends.shape[1] == len(palm) and np.mean(ends == np.nanmedian(ends, axis=0)) > 0.9
+    return Track(t, p_WK, stated, not fixed, unit, remarks)
+
+
+class Table(NamedTuple):
+    """A CSV file: its rows of text, header first, and its name without suffix."""
+
+    rows: list[list[str]]
+    stem: str
+
+
+def _cells(row: list[str], header: list[str], columns: list[str]) -> np.ndarray:
+    """Returns the numbers in some columns of a row; NaN in all if the row cannot be read."""
+    try:
+        return np.array([float(row[header.index(name)].strip() or "nan") for name in columns])
+    except (IndexError, ValueError):
+        return np.full(len(columns), np.nan)
+
+
+_WORLD = ("worldLandmarks", "hand_world_landmarks", "multi_hand_world_landmarks", "multiHandWorldLandmarks")
+_HANDEDNESS = ("handedness", "handednesses", "multi_handedness", "multiHandedness")
+_LABEL = ("categoryName", "category_name", "label", "displayName", "display_name")
+
+
+def read_mediapipe(contents: Any, side: str) -> Track:
+    """Reads MediaPipe's world landmarks, m from the middle of the hand.
+
+    JSON, a list of results or {"frames": [...]}, each with the fields of HandLandmarkerResult:
+    `worldLandmarks` (Python: `hand_world_landmarks`) with 21 points per hand seen, `handedness` with one
+    category each, and `timestampMs`. An .npz has `world_landmarks` and optionally `t`, s, and
+    `handedness`. Many versions label hands as if the image were mirrored, so the side is determined from
+    how the fingers bend; the label decides only if they hardly bend.
+
+    Sources: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker and
+    https://github.com/google-ai-edge/mediapipe/issues/1374
+    """
+    frames = _frames(contents)
+    if frames:
+        hands = [_mediapipe_hands(frame, side) for frame in frames]
+        p = np.stack(hands)
+        if not np.isfinite(p).any():
+            raise RecordingError(
+                f"no frame has {_WORLD[0]}, 21 points of three numbers, for a labelled hand; image "
+                "landmarks are not metric"
+            )
+        seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
+    else:
+        seen = {_side(contents) or side: _array(contents, "world_landmarks", _POINTS)}
+    fitting = [label for label, p_WK in seen.items() if bent_side(p_WK, label) == side]
+    if not fitting:
+        (other, *_) = seen
+        raise RecordingError(f"the file's {other} hand does not bend as a {side} one, which was requested")
+    label = max(fitting, key=lambda label: np.isfinite(seen[label]).sum())
+    remarks: tuple[str, ...] = ()
+    if label != side:
+        remarks = (
+            f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because "
+            "MediaPipe's labels often assume mirrored images",
+        )
+    return Track(_times(contents, len(seen[label]), 1e-3), seen[label], side, remarks=remarks)
+
+
+def _mediapipe_hands(frame: Any, side: str) -> np.ndarray:
+    """Returns landmarks (2, 21, 3) of the left and right hand, NaN where unseen or unreadable."""
+    seen = np.full((2, *_POINTS), np.nan)
+    if not isinstance(frame, Mapping):
+        return seen
+    hands = next((frame[field] for field in _WORLD if frame.get(field)), None)
+    labels = next((frame[field] for field in _HANDEDNESS if frame.get(field)), None)
+    if not isinstance(hands, list) or not (labels is None or isinstance(labels, list)):
+        return seen
+    labels = [side][: len(hands)] if labels is None else [_mediapipe_label(label) for label in labels]
+    if len(labels) == len(hands) and set(labels) <= set(SIDES):
+        for label, hand in reversed(list(zip(labels, hands, strict=True))):
+            points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
+            seen[SIDES.index(label)] = _points(points, KEYPOINT_COUNT)
+    return seen
+
+
+def _mediapipe_label(value: Any) -> str:
+    while isinstance(value, list) and value:
+        value = value[0]
+    if isinstance(value, Mapping):
+        value = next((value[field] for field in _LABEL if value.get(field)), value)
+    return str(value).strip().lower()
+
+
+_POSITION_VALID = 2
+_XR_BONES = ("metacarpal", "phalanx-proximal", "phalanx-intermediate", "phalanx-distal", "tip")
+_XR_JOINTS = (
+    "wrist",
+    *(f"thumb-{bone}" for bone in _XR_BONES if bone != "phalanx-intermediate"),
+    *(f"{finger}-finger-{bone}" for finger in ("index", "middle", "ring", "pinky") for bone in _XR_BONES),
+)
+
+
+def read_openxr(contents: Any, side: str) -> Track:
+    """Reads the 26 joints of OpenXR; WebXR has 25.
+
+    In m, y up: palm (OpenXR only), wrist, four of the thumb, then five each of index to little finger from
+    the metacarpal to the tip. .npz: `joints` (T, J, 3), (T, J, 7) with the position first, (T, J, 4, 4), or
+    for WebXR (T, 400) as XRFrame.fillPoses fills them, column by column; optionally `t`, s, `valid` (T,
+    J), and `hand` or `handedness`. JSON: {"hand": "right", "frames": [{"time": ns or, for WebXR, ms,
+    "joints": a list of XrHandJointLocationEXT, or for WebXR an object by name}]}. A frame whose isActive
+    is false, and a joint without the flag POSITION_VALID, are lost.
+
+    Sources: https://registry.khronos.org/OpenXR/specs/1.1/man/html/XrHandJointLocationEXT.html,
+    https://www.w3.org/TR/webxr-hand-input-1/ and
+    https://developer.mozilla.org/en-US/docs/Web/API/XRFrame/fillPoses
+    """
+    return _read_xr(contents, ("palm", *_XR_JOINTS), 1e-9)
+
+
+def read_webxr(contents: Any, side: str) -> Track:
+    """Reads the 25 joints of WebXR; see `read_openxr`."""
+    return _read_xr(contents, _XR_JOINTS, 1e-3)
+
+
+def _read_xr(contents: Any, names: tuple[str, ...], unit_s: float) -> Track:
+    count, frames = len(names), _frames(contents)
+    if frames:
+        p = np.stack([_xr_points(frame, names) for frame in frames])
+    else:
+        joints = _array(contents, "joints", (count, 3), (count, 7), (count, 4, 4), (count * 16,))
+        if joints.ndim == 2 or joints.shape[-1] == 4:
+            X = joints.reshape(-1, count, 4, 4)
+            p = _upright(np.swapaxes(X, 2, 3) if joints.ndim == 2 else X, "joints")[..., :3, 3]
+        else:
+            p = joints[..., :3]
+        if "valid" in contents:
+            valid = _array(contents, "valid", (count,))
+            if len(valid) != len(p):
+                raise RecordingError(f"{len(valid)} valid for {len(p)} frames")
+            p = np.where((np.nan_to_num(valid) != 0)[..., None], p, np.nan)
+    p_WK = p[:, count - NODE_COUNT :][:, KEYPOINTS_OF_25]
+    return Track(_times(contents, len(p), unit_s), p_WK, _side(contents), in_world=True)
+
+
+def _xr_points(frame: Any, names: tuple[str, ...]) -> np.ndarray:
+    """Returns a frame's joints (J, 3); NaN if it is lost or cannot be read."""
+    lost = np.full((len(names), 3), np.nan)
+    if not isinstance(frame, Mapping) or frame.get("isActive", True) not in (True, 1, "true"):
+        return lost
+    if "poses" in frame:
+        poses = _numbers(frame["poses"])
+        return lost if np.shape(poses) != (16 * len(names),) else poses.reshape(-1, 4, 4)[:, 3, :3]
+    joints = frame.get("joints")
+    if isinstance(joints, Mapping):
+        joints = [joints.get(name) for name in names]
+    return (
+        _points([_xr_position(joint) for joint in joints], len(names)) if isinstance(joints, list) else lost
+    )
+
+
+def _xr_position(joint: Any) -> Any:
+    if isinstance(joint, Mapping):
+        flags = _number(joint.get("locationFlags", _POSITION_VALID))
+        if not (math.isfinite(flags) and int(flags) & _POSITION_VALID):
+            return None
+        joint = joint.get("pose", joint)
+    return joint["position"] if isinstance(joint, Mapping) and "position" in joint else joint
+
+
+def read_vision_pro(contents: Any, side: str) -> Track:
+    """Reads transforms of Apple Vision Pro, which avp_stream gives, in .npz.
+
+    `right_fingers` (T, 25 or 27, 4, 4), m, in the wrist's frame: wrist 0, thumb 1-4, then five each of
+    index to little finger, from the metacarpal to the tip. Two of 27 joints belong to the forearm, the
+    last two or the first two. `right_wrist` (T, 1, 4, 4) or (T, 4, 4) is the wrist in the world. Left
+    hands use `left_`. A hand that is not seen has identity matrices everywhere.
+
+    Source: https://github.com/Improbable-AI/VisionProTeleop, README and avp_stream/utils/grpc_utils.py
+    """
+    names = [name for end in ("fingers", "arm") if (name := f"{side}_{end}") in contents]
+    field = names[0] if names else f"{side}_fingers"
+    X_JK = _upright(_array(contents, field, (25, 4, 4), (27, 4, 4)), field)
+    if X_JK.shape[1] == 27:  # the wrist's own transform stays the identity
+        moved = np.abs(X_JK[:, [0, 2]] - np.eye(4)).max(axis=(2, 3))
+        X_JK = X_JK[:, 2 * int(np.nansum(moved[:, 1]) < np.nansum(moved[:, 0])) :]
+    if np.nanmedian(np.abs(X_JK[:, 0] - np.eye(4)).max(axis=(1, 2))) > 1e-3:
+        raise RecordingError(
+            f"{field} must be joints in the wrist's frame, whose own transform is the identity"
+        )
+    p_WK, t = X_JK[:, KEYPOINTS_OF_25][..., :3, 3], _times(contents, len(X_JK))
+    if f"{side}_wrist" not in contents:
+        return Track(t, p_WK, side)
+    X_WJ = _array(contents, f"{side}_wrist", (1, 4, 4), (4, 4)).reshape(-1, 1, 4, 4)
+    if len(X_WJ) != len(p_WK):
+        raise RecordingError(f"{len(X_WJ)} {side}_wrist for {len(p_WK)} frames")
+    X_WJ = _upright(X_WJ, f"{side}_wrist")[:, 0]
+    R_WJ = X_WJ[:, :3, :3]
+    skew = np.abs(R_WJ @ np.swapaxes(R_WJ, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    if not np.nanmedian(skew) < 1e-2 or np.nanmedian(np.linalg.det(np.nan_to_num(R_WJ))) < 0:
+        raise RecordingError(f"{side}_wrist must be rotations, which neither mirror nor scale")
+    p_WK = (
+        np.where((skew < 1e-2)[:, None, None], p_WK @ np.swapaxes(R_WJ, 1, 2), np.nan) + X_WJ[:, None, :3, 3]
+    )
+    return Track(t, p_WK, side, in_world=True)
+
+
+def _upright(X: np.ndarray, field: str) -> np.ndarray:
+    """Returns transforms (T, J, 4, 4) with the translation in the last column, transposed if needed."""
+    known = np.isfinite(X).all(axis=(1, 2, 3)) & (X != 0).any(axis=(1, 2, 3))
+    end = np.array([0.0, 0.0, 0.0, 1.0])
+    upright = np.isclose(X[..., 3, :], end, atol=1e-5).all(axis=(1, 2))
+    turned = np.isclose(X[..., :, 3], end, atol=1e-5).all(axis=(1, 2))
+    if (known & turned & ~upright).sum() > (known & upright & ~turned).sum():
+        X, upright = np.swapaxes(X, -1, -2), turned
+    if (known & ~upright).sum() > 0.5 * known.sum():
+        raise RecordingError(f"{field} must be rigid transforms, whose last row is 0 0 0 1")
+    return np.where((known & upright)[:, None, None, None], X, np.nan)
+
+
+# -- values
+
+
+def _frames(contents: Any) -> list:
+    """Returns the frames of JSON: the list that it is, or its list `frames`; otherwise an empty list."""
+    frames = contents.get("frames") if isinstance(contents, Mapping) else contents
+    return frames if isinstance(frames, list) else []
+
+
+def _array(contents: Any, field: str, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Returns an archive's array of floats (T, *shape), one of the shapes."""
+    if not isinstance(contents, Mapping) or field not in contents:
+        given = ", ".join(map(str, contents)) if isinstance(contents, Mapping) else type(contents).__name__
+        raise RecordingError(f"lacks {field}; it contains {given or 'nothing'}")
+    array = np.asarray(contents[field])
+    if array.dtype.kind in "US":
+        array = _numbers(array.tolist(), field)
+    if array.ndim == 0 or array.shape[1:] not in shapes or array.dtype.kind not in "fiub":
+        expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
+        raise RecordingError(f"{field} must be numbers of shape {expected}, not {array.dtype} {array.shape}")
+    return array.astype(float)
+
+
+def _times(contents: Any, count: int, unit_s: float = 1.0) -> np.ndarray | None:
+    """Returns times (count,), s, or None if the file has none.
+
+    Args:
+        contents: of the file.
+        count: number of frames.
+        unit_s: unit of the times in frames, s; an archive's array is in s.
+
+    Raises:
+        RecordingError: a time is there but is no number; names field and frame.
+    """
+    frames = _frames(contents)
+    fields = [
+        name
+        for name in _TIME_FIELDS
+        if (isinstance(contents, Mapping) and name in contents)
+        or any(isinstance(frame, Mapping) and frame.get(name) is not None for frame in frames)
+    ]
+    if not fields:
+        return None
+    (field, *_) = fields
+    if isinstance(contents, Mapping) and field in contents:
+        values, unit_s = contents[field], unit_s if frames else 1.0
+        values = values.tolist() if isinstance(values, np.ndarray) else values
+        if np.asarray(contents[field]).dtype.kind in "Mm" or not isinstance(values, list):
+            raise RecordingError(
+                f"{field}: times must be numbers, one per frame, not {contents[field]!r:.60}"
+            )
+    else:
+        values = [frame.get(field) if isinstance(frame, Mapping) else None for frame in frames]
+    if len(values) != count:
+        raise RecordingError(f"{len(values)} {field} for {count} frames")
+    return unit_s * _stamps(values, field)
+
+
+def _stamps(values: Sequence[Any], field: str) -> np.ndarray:
+    """Returns times (T,) as floats; NaN for None and what is not finite. Large integers lose their origin.
+
+    Nanoseconds since an epoch exceed a double's resolution, so integers are subtracted first.
+    """
+    numbers: list[Any] = []
+    for i, value in enumerate(values):
+        number = _exact(value)
+        if number is None and value is not None:
+            raise RecordingError(f"{field}[{i}]: times must be numbers, not {value!r:.60}")
+        numbers.append(number)
+    known = [number for number in numbers if number is not None and abs(number) < 1e300]
+    start = sorted(known)[len(known) // 2] if known else 0
+    if numbers and numbers[0] in known and abs(numbers[0] - start) < 1e300:
+        start = numbers[0]
+    origin = float(start) if isinstance(start, float) or abs(start) < 2**53 else 0.0
+    shifted = [math.nan if n is None or not abs(n) < 1e300 else float(n - start) for n in numbers]
+    return np.array(shifted) + origin
+
+
+def _exact(value: Any) -> int | float | None:
+    """Returns a number, also from text, without rounding integers; None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    if isinstance(value, str):
+        for kind in (int, float):
+            try:
+                return kind(value)
+            except ValueError:
+                pass
+        return None
+    return value
+
+
+def _side(contents: Any) -> str | None:
+    """Returns the side that a file states, or None; raises RecordingError if it states neither."""
+    field = next((name for name in _SIDE_FIELDS if isinstance(contents, Mapping) and name in contents), None)
+    if field is None:
+        return None
+    side = str(contents[field]).strip().lower()
+    side = {"l": "left", "r": "right"}.get(side, side)
+    if side not in SIDES:
+        raise RecordingError(f"{field} '{side:.40}' is none of: {', '.join(SIDES)}")
+    return side
+
+
+def _points(values: Any, count: int) -> np.ndarray:
+    """Returns points (count, 3) given as lists or as objects with x, y, z; NaN for unreadable ones."""
+    points = np.full((count, 3), np.nan)
+    if not isinstance(values, list) or len(values) != count:
+        return points
+    for i, value in enumerate(values):
+        given = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else value
+        if isinstance(given, list) and len(given) >= 3:
+            points[i] = [_number(number) for number in given[:3]]
+    return points
+
+
+def _number(value: Any) -> float:
+    number = _exact(value)
+    return math.nan if number is None or not abs(number) < 1e300 else float(number)
+
+
+def _numbers(values: Any, field: str | None = None) -> np.ndarray:
+    """Returns nested lists of numbers, also in text, as an array; others are NaN, or refused by `field`."""
+    if isinstance(values, list):
+        try:
+            return np.array([_numbers(value, field) for value in values])
+        except ValueError:
+            return np.array(math.nan)
+    if field is not None and _exact(values) is None:
+        raise RecordingError(f"{field} must be numbers, not {values!r:.60}")
+    return np.array(_number(values))
+
+
+# -- files
+
+
+def load(path: Path) -> Any:
+    """Returns a file's contents by its suffix; an unreadable line of JSON becomes None."""
+    check_file(path)
+    suffix = path.suffix.lower()
+    if suffix in (".npy", ".npz"):
+        return load_arrays(path)
+    if suffix not in (".csv", ".json", ".jsonl"):
+        raise RecordingError(
+            f"{path}: recordings are .npz, .npy, .json, .jsonl or .csv files, not '{suffix}'"
+        )
+    try:
+        text = path.read_text("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path}: not a text file in UTF-8 ({error})") from None
+    if suffix == ".csv":
+        lines = [line for line in text.splitlines() if line.strip(",;\t ")]
+        if not lines:
+            raise RecordingError(f"{path}: the table is empty")
+        return Table(list(csv.reader(lines, delimiter=max(",;\t", key=lines[0].count))), path.stem)
+    if suffix == ".jsonl":
+        return [_parsed(line) for line in text.splitlines() if line.strip()]
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: not JSON: {error}") from None
+
+
+def _parsed(line: str) -> Any:
+    try:
+        return json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+
+
+def _any_frame(contents: Any, *fields: str) -> bool:
+    return any(isinstance(frame, Mapping) and any(f in frame for f in fields) for frame in _frames(contents))
+
+
+def _joints(contents: Any) -> int:
+    """Number of joints of an XR file: 26, 25, or 0 if it is none."""
+    if isinstance(contents, Mapping) and "joints" in contents:
+        return (
+            {416: 26, 400: 25}.get(size := np.shape(contents["joints"])[1:2][0], size)
+            if np.ndim(contents["joints"]) > 1
+            else 0
+        )
+    frames = [frame for frame in _frames(contents) if isinstance(frame, Mapping)]
+    lists = sum(isinstance(frame.get("joints"), list) for frame in frames)
+    objects = sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in frames)
+    return 0 if lists == objects == 0 else 26 if lists > objects else 25
+
+
+def _has(*fields: str) -> Callable[[Any], bool]:
+    return lambda contents: isinstance(contents, Mapping) and any(field in contents for field in fields)
+
+
+_XR = (".json", ".jsonl", ".npz")
+_AVP_FIELDS = [f"{side}_{field}" for side in SIDES for field in ("fingers", "arm")]
+# In the order of detection: if several formats fit, the first is used.
+FORMATS: dict[str, Format] = {
+    "manus": Format("raw MANUS skeleton, 25 nodes", (".npz",), _has("data"), read_manus),
+    "manus_csv": Format(
+        "MANUS Core's CSV export",
+        (".csv",),
+        lambda contents: any("Thumb_CMC_" in name for name in contents.rows[0]),
+        read_manus_csv,
+    ),
+    "openxr": Format("OpenXR, 26 joints", _XR, lambda contents: _joints(contents) == 26, read_openxr),
+    "webxr": Format("WebXR, 25 joints", _XR, lambda contents: _joints(contents) == 25, read_webxr),
+    "vision_pro": Format("Apple Vision Pro, transforms", (".npz",), _has(*_AVP_FIELDS), read_vision_pro),
+    "geort": Format("GeoRT, 21 keypoints in any frame", (".npy",), _has("data"), read_keypoint_array),
+    "mediapipe": Format(
+        "MediaPipe, 21 world landmarks",
+        _XR,
+        lambda contents: _has("world_landmarks")(contents) or _any_frame(contents, *_WORLD, "landmarks"),
+        read_mediapipe,
+    ),
+}

@@ -1,0 +1,101 @@
+"""Files are written whole; links, pipes and devices stay what they are."""
+
+import os
+import stat
+import threading
+
+import pytest
+
+from geort_drake import Recording, files, synthesize_play
+from geort_drake.errors import OutputError
+from geort_drake.files import atomic_directory, atomic_path, require_writable, write_text
+
+
+def test_a_link_stays_and_its_target_gets_the_contents(tmp_path):
+    """Also a link whose target does not exist yet, and the file of a recording."""
+    (tmp_path / "store.npz").write_text("old")
+    for name, target in (("current.npz", "store.npz"), ("later.npz", "folder/new.npz")):
+        link = tmp_path / name
+        link.symlink_to(target)
+        synthesize_play(0, duration_s=1.0).save(link)
+        assert link.is_symlink()
+        assert len(Recording.load(tmp_path / target)) == 120
+    loop = tmp_path / "loop"
+    loop.symlink_to("loop")
+    with pytest.raises(OutputError, match="loop"):
+        write_text(loop, "x")
+    assert loop.is_symlink()
+
+
+def test_a_pipe_is_written_to_and_refused_without_a_reader(tmp_path):
+    """The refusal comes before the work."""
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(OutputError, match="cannot be written"), atomic_path(pipe):
+        pytest.fail("nobody reads")
+    read: list[str] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_text()))
+    reader.start()
+    for _ in range(500):  # the reader opens the pipe in its own time
+        try:
+            write_text(pipe, "text")
+            break
+        except OutputError:
+            threading.Event().wait(0.01)
+    reader.join()
+    assert read == ["text"]
+    assert stat.S_ISFIFO(os.lstat(pipe).st_mode)
+    assert os.listdir(tmp_path) == ["pipe"]
+
+
+def test_a_device_is_written_to():
+    """In the unprivileged folder /dev/fd, so that no failure could replace a device of this machine."""
+    reading, writing = os.pipe()
+    path = f"/dev/fd/{writing}"
+    require_writable(path)
+    write_text(path, "text")
+    os.close(writing)
+    with os.fdopen(reading) as file:
+        assert file.read() == "text"
+
+
+@pytest.mark.parametrize("write", [lambda p: write_text(p, "x"), require_writable])
+def test_a_folder_is_not_a_file(tmp_path, write):
+    with pytest.raises(OutputError, match="is a directory, not a file"):
+        write(tmp_path)
+
+
+def test_an_error_leaves_the_earlier_file(tmp_path):
+    path = tmp_path / "file.txt"
+    path.write_text("old")
+    with pytest.raises(KeyError), atomic_path(path) as draft:
+        draft.write_text("new")
+        raise KeyError
+    assert path.read_text() == "old"
+    assert os.listdir(tmp_path) == ["file.txt"]
+
+
+def test_a_directory_is_replaced_as_a_whole(tmp_path):
+    """A link to it stays; an error leaves the earlier one."""
+    target = tmp_path / "link"
+    target.symlink_to("run")
+    for number in range(2):
+        with atomic_directory(target) as draft:
+            (draft / "number.txt").write_text(str(number))
+    with pytest.raises(KeyError), atomic_directory(target):
+        raise KeyError
+    assert (target / "number.txt").read_text() == "1"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "run"] and target.is_symlink()
+
+
+def test_a_directory_replaces_neither_a_file_nor_the_current_folder(tmp_path, monkeypatch):
+    """A folder in use cannot be renamed, which must be known before the work begins."""
+    monkeypatch.chdir(tmp_path)
+    assert not files.is_replaceable(".", "mark")
+    assert files.is_replaceable(tmp_path, "mark") and files.is_replaceable("new", "mark")
+    file = tmp_path / "notes.txt"
+    write_text(file, "before")
+    with pytest.raises(OutputError, match="is a file, not a directory"), atomic_directory(file):
+        pytest.fail("the file is in the way")
+    assert file.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [file]
