@@ -26,8 +26,8 @@ from untrained import FINGERS, add_form_option, untrained
 from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.mlp import MlpRetargeter
 

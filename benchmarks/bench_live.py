@@ -31,7 +31,7 @@ from side_by_side import parse, parser, write_json
 
 from geort_drake.console import console, run_main
 from geort_drake.people.formats import KEYPOINTS_OF_25
-from geort_drake.people.play import synthesize_play
+from geort_drake.people.synthetic.play import synthesize_play
 
 # A headset's space S relative to H of a hand that points forward, and the wrist's position in S, m.
 R_HS = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])

@@ -35,9 +35,9 @@ from geort_drake.console import console, run_main
 from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting.store import load_retargeter
 from geort_drake.retargeting.train import cached_map
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram

@@ -25,8 +25,8 @@ from side_by_side import parse, parser, write_json
 from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
 
 EPOCHS, BATCHES, POINTS = 50, 25, 2048

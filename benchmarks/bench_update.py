@@ -20,7 +20,7 @@ from untrained import FINGERS, add_form_option, untrained
 from geort_drake.console import run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
-from geort_drake.people.play import synthesize_play
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting.trained_space import TrainedSpace
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import RetargetingSystem

@@ -122,7 +122,7 @@ def commands() -> list[tuple[str, str, str]]:
 
 def protocol_table() -> str:
     """A Markdown table of the capture protocol's steps."""
-    from geort_drake.people.protocol import STEPS
+    from geort_drake.people.synthetic.protocol import STEPS
 
     rows, start = ["| start | time | step | what to do |", "|---|---|---|---|"], 0.0
     for step in STEPS:

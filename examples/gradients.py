@@ -7,7 +7,7 @@ from pydrake.systems.framework import LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from geort_drake import load_retargeter
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 
 
 @TemplateSystem.define("RetargetingMap_", T_list=[float, AutoDiffXd])

@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from geort_drake.hands.description import load_hand as load_hand
     from geort_drake.hands.hand import Hand as Hand
     from geort_drake.hands.model import HandModel as HandModel
-    from geort_drake.people.play import synthesize_play as synthesize_play
     from geort_drake.people.readers import read_recording as read_recording
     from geort_drake.people.recording import Recording as Recording
+    from geort_drake.people.synthetic.play import synthesize_play as synthesize_play
     from geort_drake.rerun import CloseUpSpec as CloseUpSpec
     from geort_drake.rerun import ContactSpec as ContactSpec
     from geort_drake.rerun import HandSpec as HandSpec
@@ -88,7 +88,7 @@ _MODULES = {
     "make_trial_diagram": "simulation.diagram",
     "read_recording": "people.readers",
     "run_trial": "simulation.trial",
-    "synthesize_play": "people.play",
+    "synthesize_play": "people.synthetic.play",
     "train_map": "retargeting.train",
 }
 __all__ = list(_MODULES)

@@ -42,8 +42,8 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
 
     from geort_drake.hands.description import load_hand
     from geort_drake.hands.model import HandModel
-    from geort_drake.people.human_hand import HumanHand
-    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.synthetic.hand import HumanHand
+    from geort_drake.people.synthetic.play import synthesize_play
     from geort_drake.simulation.free_play import keep_reached, seen_fingertips
     from geort_drake.simulation.scenario_files import load_scenario
     from geort_drake.simulation.tasks.grasp.planner import GraspPlanner

@@ -25,7 +25,7 @@ from geort_drake.console import run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks.grasp.goal import GraspGoal

@@ -15,9 +15,9 @@ from geort_drake.console import run_main
 from geort_drake.files import atomic_path
 from geort_drake.people.coverage import fingertip_speeds, pinch_distances
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M, Recording
+from geort_drake.people.synthetic.play import synthesize_play
 
 
 def main(argv: Sequence[str] | None = None) -> None:

@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from geort_drake.colours import FINGER_COLOURS
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT, WRIST
-from geort_drake.people.population import sample_person
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.population import sample_person
 
 POINTS = 800  # number of points per fingertip cloud
 GREY = "#7f7f7f"  # readable on white paper and on a dark page; the background is transparent

@@ -73,7 +73,7 @@ def manus_npz() -> Path:
 @pytest.fixture(scope="session")
 def play():
     """A minute of synthetic play at 30 Hz, a `Recording`."""
-    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.synthetic.play import synthesize_play
 
     return synthesize_play(0, duration_s=60.0, rate_hz=30.0)
 

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 
 FRAMES, RATE_HZ = 400, 60.0
 FINGERS = ("index", "middle", "ring", "little")

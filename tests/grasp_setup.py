@@ -12,7 +12,7 @@ from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from geort_drake import HandModel, Recording, load_scenario, run_trial, synthesize_play
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.optimize import least_squares
 
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 
 EXACT = {"xtol": 1e-13, "ftol": 1e-13, "gtol": 1e-13}
 TIP_WEIGHT = 10.0  # over that of the other keypoints

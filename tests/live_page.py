@@ -21,7 +21,7 @@ from pydrake.math import RigidTransform
 
 from geort_drake import load_hand
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.perception import Seen

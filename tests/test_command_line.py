@@ -69,12 +69,11 @@ def test_python_m_and_scripts_are_the_same_program(tmp_path):
 
 def test_facts_repeated_for_help_agree_with_their_modules():
     """Methods and sides, which help lists without importing them."""
-    from geort_drake.people.checks.anatomy import UNITS_M
-
     from geort_drake import retargeting
     from geort_drake.benchmark import log
     from geort_drake.export import episode, lerobot, parquet
     from geort_drake.people import recording
+    from geort_drake.people.checks import UNITS_M
     from geort_drake.retargeting.geort import FORWARD_KINEMATICS
 
     assert DEFAULT_METHOD == retargeting.DEFAULT_METHOD and SHIPPED_METHOD in retargeting.METHODS

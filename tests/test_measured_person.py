@@ -9,8 +9,8 @@ from system_bench import Bench, Watch
 
 from geort_drake import GloveReplay, Recording, RetargetingSystem, add_hand_model, load_hand, load_retargeter
 from geort_drake.errors import GeortError
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.population import sample_person
+from geort_drake.people.synthetic.play import synthesize_play
+from geort_drake.people.synthetic.population import sample_person
 from geort_drake.systems.glove_checks import HELD_LOST, HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.person import MEASURED_FRAMES, PERSON_FIELDS, PersonMap

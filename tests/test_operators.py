@@ -10,7 +10,7 @@ from grasp_setup import reach_goal
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from geort_drake import synthesize_play
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion

@@ -18,8 +18,8 @@ from geort_drake.people.checks import (
     require_wrist_frame_hand,
     training_faults,
 )
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import mirrored
+from geort_drake.people.synthetic.hand import HumanHand
 
 
 def keypoints(change):

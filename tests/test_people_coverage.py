@@ -12,9 +12,9 @@ from geort_drake import Recording
 from geort_drake.cli import run_command
 from geort_drake.people.checks import examine
 from geort_drake.people.coverage import PINCHES, coverage, finger_motions, pinch_distances, pinches
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
-from geort_drake.people.protocol import DURATION_S, STEPS, demonstrate
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.protocol import DURATION_S, STEPS, demonstrate
 
 
 @pytest.fixture(scope="module")

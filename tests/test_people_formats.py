@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 from geort_drake import Recording, read_recording
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.people.coverage import pinch_distances
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.people.readers import ASSUMED_RATE_HZ
 from geort_drake.people.recording import PINCH_M
+from geort_drake.people.synthetic.hand import HumanHand
 
 # Files with the wrist's pose in the world.
 POSED = set(gloves.WRITERS) - {"geort", "mediapipe", "mediapipe_npy"}

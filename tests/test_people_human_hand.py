@@ -6,8 +6,8 @@ from joint_angles import fitted_keypoints
 from scipy.spatial.transform import Rotation
 
 from geort_drake import Recording, read_recording, synthesize_play
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.synthetic.hand import HumanHand
 
 
 @pytest.fixture(scope="module")

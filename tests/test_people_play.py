@@ -9,13 +9,13 @@ import yaml
 from joint_angles import fitted_keypoints
 
 from geort_drake import Recording, read_recording, synthesize_play
-from geort_drake.people import device
 from geort_drake.people.checks import examine
 from geort_drake.people.coverage import fingertip_speeds, pinch_distances, tip_distances
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, wrist_pose
-from geort_drake.people.population import sample_person, sample_population
 from geort_drake.people.recording import PINCH_M
+from geort_drake.people.synthetic import device
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.population import sample_person, sample_population
 
 REAL = yaml.safe_load(Path(__file__).with_name("real_play.yaml").read_text("utf-8"))
 # How far outside the two real recordings' figures the synthetic ones may be. The sideways motion of single

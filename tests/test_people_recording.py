@@ -11,8 +11,8 @@ from glove_files import moving, write_own
 from geort_drake import Recording, read_recording, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import OutputError, RecordingError, UsageError
-from geort_drake.people.population import sample_person
 from geort_drake.people.recording_log import RecordingLog
+from geort_drake.people.synthetic.population import sample_person
 
 
 def recorded(frames=400) -> Recording:

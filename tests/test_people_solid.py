@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from geort_drake import read_recording, synthesize_play
-from geort_drake.people.human_hand import HumanHand
-from geort_drake.people.play import pinch_postures
-from geort_drake.people.population import sample_person
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.play import pinch_postures
+from geort_drake.people.synthetic.population import sample_person
 from geort_drake.people.synthetic.solid import DIGIT_PAIRS, MAX_INTERPENETRATION, SolidHand
 
 HAND = HumanHand.anatomical()

@@ -20,7 +20,7 @@ from geort_drake.simulation.tasks.keys.planner import KeysGoal
 
 # What the person's modules may run through besides each other, directly or not.
 HARMLESS = {
-    *("errors", "files", "settings", "people.human_hand", "people.keypoints", "people.recording"),
+    *("errors", "files", "settings", "people.synthetic.hand", "people.keypoints", "people.recording"),
     *("simulation.tasks.grasp.goal",),
     *("simulation.wrist_motion", "systems.port_values", "systems.python_system"),
 }
@@ -38,7 +38,7 @@ def test_no_module_of_the_person_runs_through_a_robot_or_a_map():
     """Not even indirectly, nor through a plant of Drake."""
     done = subprocess.run([sys.executable, "-c", LOAD], capture_output=True, text=True, check=True)
     loaded = {name.removeprefix("geort_drake.") for name in done.stdout.split() if "geort_drake." in name}
-    assert "people.human_hand" in loaded
+    assert "people.synthetic.hand" in loaded
     assert {name for name in loaded if not name.startswith("simulation.operators.")} <= HARMLESS
     for module in pkgutil.iter_modules(operators.__path__):
         tree = ast.parse(Path(operators.__path__[0], f"{module.name}.py").read_text("utf-8"))

@@ -10,8 +10,8 @@ from geort_drake.benchmark.log import Row, TrialKey
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import load_hand
 from geort_drake.own_method import OwnMethod
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario, parse_scenario

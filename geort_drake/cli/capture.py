@@ -18,7 +18,7 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake.console import print_table
-    from geort_drake.people.protocol import STEPS, demonstrate
+    from geort_drake.people.synthetic.protocol import STEPS, demonstrate
 
     rows, begin = [], 0.0
     for step in STEPS:

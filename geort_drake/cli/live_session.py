@@ -13,7 +13,7 @@ from geort_drake.live.glove_stream import NOTABLE_DRIFT
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import SessionReport
 from geort_drake.live.teleoperation import Teleoperation
-from geort_drake.people.play import synthesize_play
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting.base import Retargeter
 from geort_drake.retargeting.store import load_retargeter, shipped_maps
 

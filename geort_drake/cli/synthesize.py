@@ -47,7 +47,7 @@ def _average(arguments: argparse.Namespace) -> int:
     from geort_drake import read_recording, synthesize_play
     from geort_drake.console import warn
     from geort_drake.people.checks import examine
-    from geort_drake.people.human_hand import HumanHand
+    from geort_drake.people.synthetic.hand import HumanHand
 
     output, hand = output_file(".npz")(arguments.output), None
     if arguments.hand_of is not None:
@@ -68,7 +68,7 @@ def _average(arguments: argparse.Namespace) -> int:
 
 def _people(arguments: argparse.Namespace) -> int:
     from geort_drake.console import warn
-    from geort_drake.people.population import sample_person
+    from geort_drake.people.synthetic.population import sample_person
 
     folder = output_folder(arguments.output)
     paths = [folder / f"person_{number:03d}.npz" for number in range(arguments.people)]

@@ -19,9 +19,9 @@ from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError, TrainingError
 from geort_drake.files import locked, source_digest
 from geort_drake.people.coverage import finger_motions
-from geort_drake.people.play import synthesize_play
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M, Recording
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.resources import cache_dir
 from geort_drake.retargeting import DEFAULT_METHOD, find_method
 from geort_drake.retargeting.base import Retargeter

@@ -14,8 +14,8 @@ from pydrake.systems.primitives import DiscreteTimeDelay, Gain
 
 from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import HandDescription, load_hand
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator

@@ -13,7 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.finger_planner import FingerPlanner
 from geort_drake.simulation.monitor import TaskMonitor, TaskSettings
 from geort_drake.simulation.operators.finger_person import FingerPerson

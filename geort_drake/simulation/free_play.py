@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from geort_drake.hands.model import HandModel
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.play import synthesize_play
-from geort_drake.people.population import sample_person
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.play import synthesize_play
+from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.operators.goal import Goal, Intended
 from geort_drake.simulation.operators.perception import FreePlay

@@ -15,7 +15,7 @@ from pydrake.multibody.tree import RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.monitor import TaskMonitor
 from geort_drake.simulation.operators.goal import Intended
 from geort_drake.simulation.operators.simulated_operator import Person

@@ -12,7 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.monitor import Outcome, TaskMonitor
 from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY, SERVO
 from geort_drake.simulation.operators.placing import PlacingPerson

@@ -9,8 +9,8 @@ from typing import Any
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.following import RobotModel

@@ -13,8 +13,8 @@ MEASURED_FRAMES = 30
 # Bone lengths are compared at this period, as averages over about this time, s.
 _PERIOD, _AVERAGING_TIME = 0.1, 1.0
 # It is another person's hand if bone lengths differ by more than this fraction plus this multiple of their
-# spread. Of sixty people of `geort_drake.people.population`, as devices measure them, none is taken for
-# another one within half a minute, and 58 that follow another one are noticed within 2 s.
+# spread. Of sixty people of `people.synthetic.population`, as devices measure them, none is taken for another
+# one within half a minute, and 58 that follow another one are noticed within 2 s.
 _CHANGE, _SPREADS = 0.03, 2.0
 
 # Fields of a person's memory.

@@ -34,7 +34,7 @@ def generate(seed: int) -> None:
 
 def train(seed: int) -> None:
     """A trained map."""
-    from geort_drake.people.play import synthesize_play
+    from geort_drake.people.synthetic.play import synthesize_play
 
     recording = synthesize_play(0, duration_s=20.0, rate_hz=30.0)
     train_lightly("allegro_right", recording, Path("trained.safetensors"), "geort", seed)
@@ -63,7 +63,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 
 def record(seed: int) -> None:
     """A trial with its recordings, as `geort-drake grasp` writes them."""
-    from geort_drake.people.human_hand import HumanHand
+    from geort_drake.people.synthetic.hand import HumanHand
     from geort_drake.simulation.scenario_files import load_scenario
     from geort_drake.simulation.trial import run_trial
 

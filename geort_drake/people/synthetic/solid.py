@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geort_drake.people.human_hand import BEND_RATIO, HumanHand, bone_directions, joint_angles
+from geort_drake.people.synthetic.hand import BEND_RATIO, HumanHand, bone_directions, joint_angles
 
 MAX_INTERPENETRATION = 2e-3  # m
 # Pairs of digits, thumb 0 to little finger 4; those with the thumb come first.

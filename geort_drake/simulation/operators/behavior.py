@@ -10,8 +10,8 @@ from collections.abc import Mapping
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion, limited
 from geort_drake.simulation.operators.perception import Seen, SensedGain, VisualError, averaged, perceive

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 
 # Bend of the outermost joint relative to that of the joint before it: two thirds in fingers (textbook; 0.4 to
 # 0.85 in recorded play), one in the thumb (recorded play).

@@ -13,8 +13,8 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 from pydrake.math import RigidTransform
 
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion, limited
 from geort_drake.simulation.operators.intention import (

@@ -10,7 +10,7 @@ import dataclasses as dc
 import numpy as np
 from pydrake.math import RigidTransform
 
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import limited

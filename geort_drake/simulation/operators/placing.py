@@ -10,7 +10,7 @@ import math
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intending import IntendingPerson
 from geort_drake.simulation.operators.intention import IntentionConfig

@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import UnknownNameError
 from geort_drake.files import finite_json
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.human_hand import HumanHand
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.resources import diagrams_dir, object_names
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.intending import IntendingPerson

@@ -9,10 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.play import FLAT, Timeline, fists, pinch, pinch_postures, record, spread, sweep, wave
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.play import (
+    FLAT,
+    Timeline,
+    fists,
+    pinch,
+    pinch_postures,
+    record,
+    spread,
+    sweep,
+    wave,
+)
 
 Gesture = Callable[[Timeline, np.random.Generator], None]
 

@@ -2,7 +2,7 @@
 
 The population's seed and a number determine a person. The constants are distributions; comments give the
 source of each, or call it an assumption. Those of gloves and cameras are in `device`. No spread is fitted to
-a recording, but some figures of the average hand and its play come from two gloves (see `human_hand` and
+a recording, but some figures of the average hand and its play come from two gloves (see `hand` and
 `play`). The population contains no hand that the checks of recordings would refuse.
 """
 
@@ -16,12 +16,12 @@ from joblib.externals.loky import ProcessPoolExecutor
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError
-from geort_drake.people import play
 from geort_drake.people.checks import check_bones, check_order, check_unit
-from geort_drake.people.device import Device
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic import play
+from geort_drake.people.synthetic.device import Device
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.processes import end_with, usable_cores
 
 # Hands. Length, and breadth over length, for equal shares of men and women: ANSUR II (Gordon et al. 2014,

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from geort_drake.errors import UnknownNameError
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.recording import SIDES, Recording
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 
 # Angles below are in degrees; each finger has abduction and three flexions, as in HumanHand.

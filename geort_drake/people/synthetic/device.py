@@ -7,8 +7,8 @@ import dataclasses
 
 import numpy as np
 
-from geort_drake.people.human_hand import HumanHand
 from geort_drake.people.keypoints import WRIST, to_wrist_frame
+from geort_drake.people.synthetic.hand import HumanHand
 
 # Skeleton. A glove's bone lengths come from one measurement of the hand or none; a headset's fingertips
 # are off by 11 mm on average (Abdlkarim et al. 2024, Behav. Res. Methods 56:1052), an eighth of a finger.
