@@ -41,9 +41,10 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting.store import load_retargeter
 from geort_drake.retargeting.train import cached_map
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.tasks.grasp import GraspPhase
 from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import ARM, HAND, add_scene
 
@@ -104,14 +105,14 @@ class Trial:
 
     def advance(self, until: float) -> None:
         """Simulates up to `until`, s, unless the trial is over."""
-        context = self.parts.monitor.GetMyContextFromRoot(self.simulator.get_context())
-        if self.parts.monitor.outcome(context).over:
+        root = self.simulator.get_context()
+        if self.parts.stage.outcome(root).over:
             return
-        before, started = context.get_time(), time.thread_time()
-        self.simulator.AdvanceTo(until)  # the monitor may end it earlier
+        before, started = root.get_time(), time.thread_time()
+        self.simulator.AdvanceTo(until)  # the judge may end it earlier
         self.cpu.append(time.thread_time() - started)
-        self.simulated.append(context.get_time() - before)
-        self.phases.append(self.parts.monitor.outcome(context).phase.name)
+        self.simulated.append(root.get_time() - before)
+        self.phases.append(GraspPhase(self.parts.stage.outcome(root).phase).name)
 
 
 class RobotAlone:

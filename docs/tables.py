@@ -177,7 +177,7 @@ def objects_table() -> str:
 
     from geort_drake.resources import object_names
     from geort_drake.simulation.object_shape import object_shape
-    from geort_drake.simulation.tasks.grasp.contacts import grip_of
+    from geort_drake.simulation.plan.contacts import grip_of
     from geort_drake.simulation.world import add_object
 
     rows = ["| object | grip | size, mm | mass, kg |", "|---|---|---|---|"]

@@ -45,8 +45,8 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.people.synthetic.hand import HumanHand
     from geort_drake.people.synthetic.play import synthesize_play
     from geort_drake.simulation.free_play import keep_reached, seen_fingertips
+    from geort_drake.simulation.plan.grasp import GraspPlanner
     from geort_drake.simulation.scenario_files import load_scenario
-    from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
     from geort_drake.simulation.trial import run_trial
 
     # Drake repeats the same warnings in every trial.

@@ -27,8 +27,8 @@ from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 FONT = "Helvetica"
 PALE = "#B9B8B0"

@@ -103,7 +103,7 @@ def setting(task_name: str, hand_name: str) -> tuple[HandModel, Recording, Human
     """Returns the robot hand, the person's play and hand, and the plans for the task."""
     hand, task = HandModel(hand_name), find_task(task_name)
     recording = synthesize_play(seed=0, side=hand.description.side)
-    plans = task.plans(load_scenario(*task.scenario, hand=hand_name), hand.description)
+    plans = task.plans(load_scenario(task=task.name, hand=hand_name), hand.description)
     return hand, recording, HumanHand.fit(recording), plans
 
 
@@ -126,7 +126,7 @@ def trial(
     task_name: str, hand_name: str, fault: str, kind: str, method: str, amount: float, seed: int
 ) -> dict:
     """Returns the record of a trial of a person with the affine map, or with a hand that holds still."""
-    scenario = load_scenario(*find_task(task_name).scenario, hand=hand_name)
+    scenario = load_scenario(task=task_name, hand=hand_name)
     scenario.kind, scenario.random_seed = kind, seed
     retarget, goal = map_and_goal(task_name, hand_name, method, fault, amount, seed if amount else 0)
     result, _ = run_trial(scenario, retarget, (setting(task_name, hand_name)[2], goal))
@@ -183,7 +183,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     figures = json.loads(path.read_text()) if path.exists() else {"scripted": {}, "records": []}
     scripted, records = figures["scripted"], figures["records"]
     robot = importlib.import_module(f"scripted.{task.name}")
-    scenario = load_scenario(*task.scenario, hand=arguments.hand)
+    scenario = load_scenario(task=task.name, hand=arguments.hand)
     plan = robot.plans(scenario, load_hand(arguments.hand))[0]
     known = {(r["fault"], r["kind"], r["method"], r["amount"], r["seed"]) for r in records}
     # Seed by seed, so that an interrupted run is balanced. Maps without a fault serve every fault.

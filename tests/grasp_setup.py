@@ -7,9 +7,6 @@ from typing import Any
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import ConstantVectorSource, TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
 
 from geort_drake import HandModel, Recording, load_scenario, run_trial, synthesize_play
 from geort_drake.people.synthetic.hand import HumanHand
@@ -17,14 +14,14 @@ from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.free_play import keep_reached, seen_fingertips
-from geort_drake.simulation.monitor import TaskMonitor
+from geort_drake.simulation.judge import PERIOD, Judgement, Outcome
 from geort_drake.simulation.operators.finger_motion import FingerMotion
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
 
 GAIN = 1.5
 # Of a scenario: too short to grasp anything, long enough to run through every part.
@@ -131,39 +128,34 @@ def judged(record: dict) -> dict:
     return {name: value for name, value in record.items() if name != "wall_time"}
 
 
-def outcome_of(monitor: TaskMonitor, until: float, begins: float = 0.0, **inputs: tuple) -> Any:
-    """The outcome at the time `until`, s, of a task that is restarted at `begins`, s.
+def outcome_of(judgement: Judgement, until: float, begins: float = 0.0, **inputs: tuple) -> Outcome:
+    """The outcome at the time `until`, s, of a task that begins at `begins`, s.
 
-    Inputs are times (T,), s, and values (T, n), with lines between them; others are zero.
+    Inputs are times (T,), s, and values (T, n), with lines between them.
     """
-    builder = DiagramBuilder()
-    builder.AddSystem(monitor)
-    for port in map(monitor.get_input_port, range(monitor.num_input_ports())):
-        if port.get_name() in inputs:
-            t, values = inputs[port.get_name()]
-            source = TrajectorySource(PiecewisePolynomial.FirstOrderHold(t, np.transpose(values)))
-        else:
-            source = ConstantVectorSource(np.zeros(port.size()))
-        builder.Connect(builder.AddSystem(source).get_output_port(), port)
-    simulator = Simulator(builder.Build())
-    context = monitor.GetMyMutableContextFromRoot(simulator.get_mutable_context())
-    if begins:
-        simulator.AdvanceTo(begins)
-        monitor.restart(context)
-    simulator.AdvanceTo(until)
-    return monitor.outcome(context)
+    outcome = Outcome(began=begins)
+    for step in range(round((until - begins) / PERIOD) + 1):
+        time = begins + step * PERIOD
+        seen = {
+            name: np.array([np.interp(time, t, column) for column in np.transpose(values)])
+            for name, (t, values) in inputs.items()
+        }
+        outcome = judgement(outcome.having(t=time), seen)
+        if outcome.over:
+            break
+    return outcome
 
 
 @cache
 def plans(task: str) -> list:
     """A finger task's plans for the Allegro hand, the best first."""
-    return find_task(task).planner(allegro().description).plans()
+    return find_task(task).plan(load_scenario(task=task), allegro().description)
 
 
 def plan_once(patch, task: str) -> None:
-    """Lets planners of a finger task find those plans without a search."""
-    found = plans(task)
-    patch.setattr(find_task(task).planner, "plans", lambda _: found)
+    """Lets a finger task's stages find those plans without a search."""
+    found = [plan.goal for plan in plans(task)]
+    patch.setattr(type(find_task(task)), "plans", lambda *_: found)
 
 
 @cache
@@ -171,7 +163,7 @@ def goals(task: str) -> list:
     """A task's goals for the Allegro hand, the best first."""
     if task not in ("pick_place", "peg"):
         return [planned_goal("cylinder")] if task == "grasp" else [plan.goal for plan in plans(task)]
-    return find_task(task).plans(load_scenario(*find_task(task).scenario), allegro().description)
+    return find_task(task).plans(load_scenario(task=task), allegro().description)
 
 
 @cache
@@ -186,5 +178,5 @@ def attempt(task: str, method: str, settings: str) -> tuple[TrialResult, bool]:
     """A person's trial of a finger task, and whether the plan that they keep was attainable."""
     retarget, seen = retarget_and_play(method)
     goal, attainable = keep_reached(goals(task), seen)
-    scenario = load_scenario(*find_task(task).scenario, settings)
+    scenario = load_scenario(task=task, text=settings)
     return run_trial(scenario, retarget, (person_who_plays(), goal))[0], attainable

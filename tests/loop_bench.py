@@ -17,7 +17,6 @@ from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.live.web.session import robot_joints
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.joint_limits import JointLimits
@@ -42,7 +41,7 @@ class LoopBench:
         text: str = "{}",
         real: bool = False,
     ):
-        self.station, self.scenario = station, load_scenario(*find_task(task).scenario, text)
+        self.station, self.scenario = station, load_scenario(task=task, text=text)
         self.scenario.random_seed = seed
         description = load_hand(self.scenario.hand)
         self.model = RobotModel(self.scenario, description)

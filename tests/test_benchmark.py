@@ -17,8 +17,7 @@ from geort_drake.cli import main, run_command
 from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError, UsageError
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.universal import UniversalRetargeter
-from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.plan.grasp import GraspPlanner
 
 pytestmark = pytest.mark.usefixtures("light_benchmark")
 GRASP = ("grasp", "servo", "")
@@ -341,7 +340,7 @@ def test_people_who_learn_a_map_in_free_play_go_on_with_the_map_that_they_saw(
     """A grasp sees the person first in the trial."""
     if not begins_cold:
         plan_once(monkeypatch, task)
-    scenario = load_scenario(*find_task(task).scenario, TOO_SHORT)
+    scenario = load_scenario(task=task, text=TOO_SHORT)
     scenarios = {Variant(task, scenario.kind): scenario}
     benchmark = Benchmark(tmp_path, Settings(), scenarios, {"universal": "universal"})
     wanted = benchmark.keys(["universal"], [], [0], 1)[0]

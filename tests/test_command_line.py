@@ -26,7 +26,7 @@ from geort_drake.errors import OutputError, RecordingError
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.retargeting import train as retargeting_train
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.plan.grasp import GraspPlanner
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 HEAVY = {"rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", "joblib"}

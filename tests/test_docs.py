@@ -29,7 +29,7 @@ from geort_drake.people.checks import examine
 from geort_drake.people.formats import FORMATS
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting import train as retargeting_train
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.plan.grasp import GraspPlanner
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -194,7 +194,7 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
 
 TINY = LIGHT["geort"] | {"steps": 3}
 SETTINGS = " ".join(f"--set {name}={value}" for name, value in TINY.items())
-SHORT = "--scenario-text '{timeout: 0.3, monitor: {hold_time: 0.01}}'"
+SHORT = "--scenario-text '{timeout: 0.3, task_settings: {hold_time: 0.01}}'"
 CHAINS = yaml.safe_load(Path(__file__).with_name("commands.yaml").read_text("utf-8"))
 
 

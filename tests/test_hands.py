@@ -197,7 +197,7 @@ def _seen(description: HandDescription, text: str = "{}"):
     scenario, builder = load_scenario(text=text), DiagramBuilder()
     scenario.object.name = "sphere"
     scene = add_scene(builder, scenario, description, np.random.default_rng(0))
-    plant, thing = scene.plant, scene.object_body
+    plant, thing = scene.plant, scene.body
     inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
     view = builder.AddSystem(SceneView(plant, description, scene.hand, thing.index(), inspector))
     for port in ("body_poses", "contact_results"):

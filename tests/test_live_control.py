@@ -17,8 +17,9 @@ from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
-from geort_drake.simulation.tasks import find_task, task_names
-from geort_drake.simulation.tasks.grasp.monitor import GraspOutcome, GraspPhase
+from geort_drake.simulation.judge import Outcome
+from geort_drake.simulation.tasks import task_names
+from geort_drake.simulation.tasks.grasp import GraspPhase
 
 UNIVERSAL = load_retargeter("allegro_right")
 SEED = 5
@@ -73,7 +74,7 @@ def test_a_held_fist_engages_and_disengages_unless_it_grasps(tmp_path, monkeypat
     page.run(Fist())
     assert page.bench.engaged
     for phase, engaged in ((GraspPhase.GRASP, True), (GraspPhase.HOLD, True), (GraspPhase.REACH, False)):
-        outcome = GraspOutcome(phase=phase)
+        outcome = Outcome(phase=int(phase))
         monkeypatch.setattr(page_control.Teleoperation, "outcome", lambda *_, outcome=outcome: outcome)
         monkeypatch.setattr(page_control.Teleoperation, "phase", lambda *_, phase=phase: phase.name.lower())
         page.run(Fist())
@@ -95,7 +96,7 @@ def test_a_task_begins_when_the_person_engages(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("task", task_names())
 def test_the_page_shows_how_far_each_task_is(tmp_path, task, monkeypatch):
-    if hasattr(find_task(task), "planner"):
+    if task in ("keys", "cap"):
         plan_once(monkeypatch, task)
     page = Page(tmp_path, task=task)
     page.run()

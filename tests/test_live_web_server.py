@@ -209,7 +209,7 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     scenario = load_scenario()
     description = load_hand(scenario.hand)
     robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
-    plant, body = robot.stage.scene.plant, robot.stage.scene.object_body
+    plant, body = robot.stage.scene.plant, robot.stage.scene.body
     inspector = robot.stage.scene.scene_graph.model_inspector()
     scene = Scene(plant, inspector, description)
     facts = json.loads(json.dumps(scene.description))

@@ -15,8 +15,8 @@ from geort_drake.errors import HandError
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
 from geort_drake.simulation.object_shape import object_shape
-from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_contacts, palm_contact
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.plan.contacts import GRIPS, grip_contacts, palm_contact
+from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.port_values import pose_to_vector
 
@@ -90,7 +90,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
 
 def test_leap_grasps():
     """The simulated person lifts the object with the planned contacts and the hand's own gains."""
-    text = "{object: {name: cube}, monitor: {hold_time: 0.5}, timeout: 15.0}"
+    text = "{object: {name: cube}, task_settings: {hold_time: 0.5}, timeout: 15.0}"
     scenario, hand = load_scenario(hand="leap_right", text=text), HandModel("leap_right")
     person, retarget = person_who_plays(), centred_map(hand)
     plans = GraspPlanner(scenario, hand.description).plans(2)

@@ -20,8 +20,7 @@ from geort_drake.resources import object_names
 from geort_drake.simulation.free_play import keep_reached
 from geort_drake.simulation.object_shape import object_shape
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.scenario import object_file
-from geort_drake.simulation.tasks.grasp.contacts import (
+from geort_drake.simulation.plan.contacts import (
     GRIPS,
     contact_heights,
     finger_offsets,
@@ -31,8 +30,9 @@ from geort_drake.simulation.tasks.grasp.contacts import (
     vertical_extent,
     yaw_candidates,
 )
-from geort_drake.simulation.tasks.grasp.kinematics import GraspKinematics
-from geort_drake.simulation.tasks.grasp.planner import GraspPlanner
+from geort_drake.simulation.plan.grasp import GraspPlanner
+from geort_drake.simulation.plan.kinematics import GraspKinematics
+from geort_drake.simulation.scenario import object_file
 from geort_drake.simulation.world import HAND, add_object, add_robot
 
 TIP_RADIUS = 0.012

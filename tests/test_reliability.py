@@ -72,7 +72,7 @@ def test_updates_do_not_grow_the_memory():
 
 
 def grasp() -> TrialDiagram:
-    scenario = scenario_with("cylinder", "{monitor: {hold_time: 0.5}}")
+    scenario = scenario_with("cylinder", "{task_settings: {hold_time: 0.5}}")
     return make_trial_diagram(scenario, centred_map(), human_with())
 
 

@@ -16,7 +16,7 @@ from geort_drake.errors import HandError, ScenarioError
 from geort_drake.resources import diagrams_dir
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import dump_scenario
-from geort_drake.simulation.world import ObjectScene, add_object, add_robot, add_scene, draw_placement
+from geort_drake.simulation.world import Scene, add_object, add_robot, add_scene, draw_placement
 
 SHIPPED = [
     (file, name)
@@ -126,7 +126,7 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
         for scenario in (scenario_with("cylinder", text), scenario_with("cylinder"))
     )
 
-    def coefficients(scene: ObjectScene) -> dict[str, float]:
+    def coefficients(scene: Scene) -> dict[str, float]:
         inspector = scene.scene_graph.model_inspector()
         return {
             inspector.GetName(geometry): inspector.GetProximityProperties(geometry)
@@ -135,7 +135,7 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
             for geometry in inspector.GetAllGeometryIds(Role.kProximity)
         }
 
-    def gains(scene: ObjectScene) -> dict[str, tuple[float, float]]:
+    def gains(scene: Scene) -> dict[str, tuple[float, float]]:
         indices = scene.plant.GetJointActuatorIndices()
         actuators = [scene.plant.get_joint_actuator(index) for index in indices]
         return {a.name(): (a.get_controller_gains().p, a.get_controller_gains().d) for a in actuators}
@@ -152,7 +152,7 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
     # The controllers compensate the weight of arm and hand.
     for model in (nominal.arm, nominal.hand):
         assert not nominal.plant.is_gravity_enabled(model)
-    assert nominal.plant.is_gravity_enabled(nominal.object_body.model_instance())
+    assert nominal.plant.is_gravity_enabled(nominal.body.model_instance())
 
 
 BALL = trimesh.creation.icosphere(subdivisions=7, radius=1.0).vertices

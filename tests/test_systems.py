@@ -9,7 +9,8 @@ from system_bench import SystemBench, joint_plant
 
 from geort_drake import GloveReplay, Recording, RetargetingSystem
 from geort_drake.errors import HandError, RecordingError
-from geort_drake.simulation.tasks.grasp.monitor import GraspMonitor, GraspMonitorConfig, GraspPhase
+from geort_drake.simulation.judge import PERIOD, Outcome
+from geort_drake.simulation.tasks.grasp import GraspPhase, GraspSettings, judgement
 from geort_drake.systems.glove_checks import HELD_NOT_FINITE, GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.joint_limits import JointLimits
@@ -187,87 +188,92 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
         np.testing.assert_allclose(at(far, valid, held).GetAsMatrix4(), held.GetAsMatrix4(), atol=1e-12)
 
 
-def run_monitor(heights, contacts, period=0.1, x=None, hand_heights=None, palm=None, **config):
-    """Feeds one height, contact vector, place x, hand and palm's force per period; the outcome after them."""
-    config = GraspMonitorConfig(period=period, **config)
-    monitor = GraspMonitor(2, ["a", "b", "palm"], lambda X_WO: X_WO.translation()[2] - 0.02, 0.1, config)
-    bench, tilted = SystemBench(monitor, period), RotationMatrix.MakeXRotation(1.0)
+def judged(heights, contacts, repeats=10, x=None, hand_heights=None, palm=None, **settings):
+    """Feeds each height, contact vector, place x, hand and palm's force `repeats` times; the outcome."""
+    links = ["a", "b", "palm"]
+    judge = judgement(GraspSettings(**settings), links, [], lambda X_WO: X_WO.translation()[2] - 0.02, 0.1)
+    outcome, tilted = Outcome(), RotationMatrix.MakeXRotation(1.0)
     for step, (height, contact) in enumerate(zip(heights, contacts, strict=True)):
         above = height if hand_heights is None else hand_heights[step]
-        bench.fix(
-            object_pose=pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height])),
-            hand_pose=pose_to_vector(RigidTransform(tilted, [0.4, 0.1, 0.3 + above])),
-            contact=contact,
-            link_contact=[*contact, 0.0 if palm is None else palm[step]],
-            self_contact=0.0,
-        )
-        bench.advance()
-    return monitor.outcome(bench.context)
+        seen = {
+            "object_pose": pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height])),
+            "hand_pose": pose_to_vector(RigidTransform(tilted, [0.4, 0.1, 0.3 + above])),
+            "contact": np.array(contact, float),
+            "link_contact": np.array([*contact, 0.0 if palm is None else palm[step]]),
+        }
+        for repeat in range(repeats):
+            outcome = judge(outcome.having(t=PERIOD * (repeats * step + repeat)), seen)
+            if outcome.over:
+                return outcome
+    return outcome
 
 
-def test_monitor_needs_the_height_for_the_whole_hold_and_names_the_links_that_hold():
+def test_the_judge_needs_the_height_for_the_whole_hold_and_names_the_links_that_hold():
     """Ten centimetres for two seconds is a success, timed from the beginning of the hold.
 
     Here the palm touches during the lift, and for 0.2 s of the hold.
     """
     heights, contacts, palm = [0, 0, 0.05] + [0.12] * 25, [[0, 0]] + [[1, 1]] * 27, np.zeros(28)
     palm[1:3] = palm[10:12] = 1.0
-    outcome = run_monitor(heights, contacts, palm=palm)
+    outcome = judged(heights, contacts, palm=palm)
     assert outcome.success
     assert outcome.completion_time == pytest.approx(0.3)
-    assert list(outcome.times) == ["REACH", "GRASP", "LIFT", "HOLD", "DONE"]
-    assert outcome.holding["a"] == pytest.approx(2.1) and outcome.holding["palm"] == pytest.approx(0.2)
+    assert list(outcome.metrics["phase_times"]) == ["REACH", "GRASP", "LIFT", "HOLD", "DONE"]
+    holding = outcome.metrics["holding"]
+    assert holding["a"] == pytest.approx(2.0, abs=0.02) and holding["palm"] == pytest.approx(0.2)
     palm[10:12] = 0.0
-    assert list(run_monitor(heights, contacts, palm=palm).holding) == ["a", "b"]
-    short = run_monitor(heights[:15], contacts[:15])
+    assert list(judged(heights, contacts, palm=palm).metrics["holding"]) == ["a", "b"]
+    short = judged(heights[:15], contacts[:15])
     assert not short.success and short.phase == GraspPhase.HOLD
 
 
-def test_monitor_does_not_count_a_dropped_or_thrown_object():
+def test_the_judge_does_not_count_a_dropped_or_thrown_object():
     """A drop restarts the hold; an object below its support ends the trial."""
     heights = [0, 0.05, 0.12, 0.0, 0.12] + [0.11] * 10
     contacts = [[1, 1], [9, 1], [1, 1], [0, 0], [1, 1]] + [[1, 1]] * 10
-    outcome = run_monitor(heights, contacts)
-    assert outcome.drops == 1 and np.isclose(outcome.held_since, 0.4)
-    assert outcome.peak_force == 9 and outcome.peak_height == pytest.approx(0.12)
-    fallen = run_monitor([0, 0, -0.1, 0.2], [[1, 0], [0, 0], [0, 0], [1, 1]])
+    outcome = judged(heights, contacts)
+    assert outcome.metrics["drops"] == 1 and np.isclose(outcome.memory["held_since"], 0.4)
+    assert outcome.metrics["peak_height"] == pytest.approx(0.12)
+    fallen = judged([0, 0, -0.1, 0.2], [[1, 0], [0, 0], [0, 0], [1, 1]])
     assert fallen.phase == GraspPhase.THROWN and fallen.over and not fallen.success
     # The last phase with a touch is not the furthest one nor the throw: here what threw it was one finger.
-    outcome = run_monitor([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]])
-    assert outcome.phase == GraspPhase.THROWN and outcome.last_touched == GraspPhase.TOUCH
+    outcome = judged([0.0, 0.0, 0.0, 0.0, -0.1], [[1, 1], [0, 0], [1, 0], [0, 0], [0, 0]])
+    assert outcome.phase == GraspPhase.THROWN and outcome.text == "thrown: touch"
 
 
-def test_monitor_ends_when_the_object_strays_out_of_the_hand():
+def test_the_judge_ends_when_the_object_strays_out_of_the_hand():
     """Far from its start and touched by nothing it is thrown, at any height; in the hand it is not."""
     far = [0.5, 0.9, 0.9]
-    thrown = run_monitor([0.0, 0.0, 0.0], [[1, 0], [0, 0], [1, 1]], x=far)
+    thrown = judged([0.0, 0.0, 0.0], [[1, 0], [0, 0], [1, 1]], x=far)
     assert thrown.phase == GraspPhase.THROWN and thrown.over
-    carried = run_monitor([0.0, 0.05, 0.05], [[1, 1], [1, 1], [1, 1]], x=far)
+    carried = judged([0.0, 0.05, 0.05], [[1, 1], [1, 1], [1, 1]], x=far)
     assert carried.phase == GraspPhase.LIFT
-    flying = run_monitor([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
-    assert list(flying.times) == ["GRASP", "REACH", "TOUCH"]
+    flying = judged([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
+    assert list(flying.metrics["phase_times"]) == ["GRASP", "REACH", "TOUCH"]
 
 
-def test_monitor_measures_the_slip_of_the_last_lift():
+def test_the_judge_measures_the_slip_of_the_last_lift():
     """The object's way in the hand counts from where its lift began, and a new lift begins at zero."""
     heights, touched = [0.0, 0.02, 0.05, 0.06], [[1, 1]] * 4
-    assert run_monitor(heights, touched).slip == pytest.approx(0, abs=1e-12)
-    assert run_monitor(heights, touched, hand_heights=[0, 0.02, 0.06, 0.064]).slip == pytest.approx(0.01)
+    assert judged(heights, touched).metrics["slip"] == pytest.approx(0, abs=1e-12)
+    assert judged(heights, touched, hand_heights=[0, 0.02, 0.06, 0.064]).metrics["slip"] == pytest.approx(
+        0.01
+    )
     more, touched_again = [*heights, 0.0, 0.02, 0.05], [*touched, [0, 0], [1, 1], [1, 1]]
-    again = run_monitor(more, touched_again, hand_heights=[0, 0.02, 0.09] + [0] * 4)
-    assert again.slip == pytest.approx(0.03)
-    assert np.isnan(run_monitor([0.0, 0.0], [[1, 1]] * 2).slip)
+    again = judged(more, touched_again, hand_heights=[0, 0.02, 0.09] + [0] * 4)
+    assert again.metrics["slip"] == pytest.approx(0.03)
+    assert judged([0.0, 0.0], [[1, 1]] * 2).metrics["slip"] is None
 
 
 @pytest.mark.parametrize(("loose", "drops"), [(10, 0), (11, 1)])
-def test_monitor_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
+def test_the_judge_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
     """Aloft, fewer than two fingers for 0.1 s are one drop; the slip goes on through a shorter loss."""
     heights = [0.0] + [0.05] * (20 + loose)
     touched = [[1, 1]] * 11 + [[1, 0]] * loose + [[1, 1]] * 10
     # The hand moves by 10 mm before the loss and by 5 mm after it.
     hands = [0.05] * 6 + [0.06] * (5 + loose) + [0.065] * 10
-    outcome = run_monitor(heights, touched, period=0.01, hand_heights=hands)
-    assert outcome.drops == drops
-    assert outcome.slip == pytest.approx(0.0 if drops else 0.015)
-    longer = run_monitor(heights, touched, period=0.01, hand_heights=hands, drop_time=0.5)
-    assert longer.drops == 0
+    outcome = judged(heights, touched, repeats=1, hand_heights=hands)
+    assert outcome.metrics["drops"] == drops
+    assert outcome.metrics["slip"] == pytest.approx(0.0 if drops else 0.015)
+    longer = judged(heights, touched, repeats=1, hand_heights=hands, drop_time=0.5)
+    assert longer.metrics["drops"] == 0

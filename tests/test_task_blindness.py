@@ -13,15 +13,13 @@ from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake import load_scenario, make_trial_diagram
 from geort_drake.simulation import operators
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.operators.perception import FreePlay
-from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.keys.planner import KeysGoal
+from geort_drake.simulation.tasks.keys import KeysGoal
 
 # What the person's modules may run through besides each other, directly or not.
 HARMLESS = {
     *("errors", "files", "settings", "people.synthetic.hand", "people.keypoints", "people.recording"),
-    *("simulation.tasks.grasp.goal",),
     *("simulation.wrist_motion", "systems.port_values", "systems.python_system"),
 }
 DRAKE = {"pydrake.math", "pydrake.common.value", "pydrake.common.eigen_geometry", "pydrake.systems.framework"}
@@ -61,29 +59,27 @@ HAND = {"fingertips", "hand_pose"}
 
 @pytest.mark.parametrize("hand", ["allegro_right", "allegro_left"])
 @pytest.mark.parametrize(
-    ("task", "mirrored", "unmirrored", "judge"),
+    ("task", "mirrored", "unmirrored"),
     [
-        ("grasp", HAND | {"object_pose"}, {"contact"}, "grasp_monitor"),
-        ("keys", HAND, {"travel", "cue"}, "keys_monitor"),
-        ("cap", HAND | {"turned"}, {"contact"}, "cap_monitor"),
-        ("pick_place", HAND | {"object_pose", "place_pose"}, {"contact"}, "transfer_monitor"),
-        ("peg", HAND | {"object_pose", "place_pose"}, {"contact"}, "transfer_monitor"),
+        ("grasp", HAND | {"object_pose"}, {"contact"}),
+        ("keys", HAND, {"positions", "cue"}),
+        ("cap", HAND | {"positions"}, {"contact"}),
+        ("pick_place", HAND | {"object_pose", "place_pose"}, {"contact"}),
+        ("peg", HAND | {"object_pose", "place_pose"}, {"contact"}),
     ],
 )
-def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(
-    task, mirrored, unmirrored, judge, hand
-):
+def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(task, mirrored, unmirrored, hand):
     """Of a left hand in the mirror. The view reads only the plant; cue and keys are shown by the judge."""
     goal = reach_goal() if task == "grasp" else goals(task)[0]
-    scenario = load_scenario(*find_task(task).scenario, hand=hand)
+    scenario = load_scenario(task=task, hand=hand)
     given = person_who_plays(), goal if hand == "allegro_right" else goal.mirrored()
     parts = make_trial_diagram(scenario, centred_map(), given)
     sources = {
         (system, system.get_input_port(port).get_name()): source
         for (system, port), source in parts.diagram.connection_map().items()
     }
-    systems = ("operator", "scene_view", judge)
-    operator, view, monitor = map(parts.diagram.GetSubsystemByName, systems)
+    systems = ("operator", "scene_view", "judge")
+    operator, view, judge = map(parts.diagram.GetSubsystemByName, systems)
     read = {name: source for (system, name), source in sources.items() if system is operator}
     assert set(read) == mirrored | unmirrored
 
@@ -96,6 +92,6 @@ def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(
         late = before(shown)[0] if in_mirror else shown
         assert isinstance(late, DiscreteTimeDelay)
         origin, port = before(late)
-        assert origin in (view, monitor) and origin.get_output_port(port).get_name() == name
+        assert origin in (view, judge) and origin.get_output_port(port).get_name() == name
     of_view = {name: source[0] for (system, name), source in sources.items() if system is view}
     assert set(of_view.values()) == {parts.plant}

@@ -15,23 +15,21 @@ from geort_drake import load_scenario
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.following import RobotModel
+from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import IntentionConfig, LearnedMotion
-from geort_drake.simulation.tasks import find_task, task_names
-from geort_drake.simulation.tasks.cap import planner as cap
-from geort_drake.simulation.tasks.cap.task import CapOutcome
-from geort_drake.simulation.tasks.keys.planner import HOVER, PITCH, TRAVEL
-from geort_drake.simulation.tasks.keys.task import KeysMonitor, KeysOutcome, KeysSettings
-from geort_drake.simulation.transfer_task import TransferMonitor
+from geort_drake.simulation.tasks import cap, find_task, keys, peg, pick_place, task_names
+from geort_drake.simulation.tasks.keys import HOVER, PITCH, TRAVEL, KeysSettings
+from geort_drake.simulation.transfer import judgement
 from geort_drake.systems.port_values import pose_to_vector
 
 
-def keys_outcome(travel: list[list[float]], **settings) -> KeysOutcome:
+def keys_outcome(travel: list[list[float]], **settings) -> Outcome:
     """The judgement of keys' travel, (T, 3) m at 10 Hz from the first cue on, with cues of 1 s."""
     rules = KeysSettings(presses=2, ready_time=0.1, cue_time=1.0, rest_time=0.5, enough=2, **settings)
     t = 0.1 + 0.1 * np.arange(len(travel))
     joints = t, np.hstack([travel, np.zeros_like(travel)])
-    outcome = outcome_of(KeysMonitor(3, 4, [0, 2], rules), 10.0, joints=joints)
+    outcome = outcome_of(keys.judgement(rules, [0, 2]), 10.0, joints=joints)
     assert outcome.t < 3.0  # it terminates after the last cue
     return outcome
 
@@ -60,8 +58,8 @@ def test_a_press_counts_if_the_cued_key_goes_down_and_no_other(first, second, sc
     assert (outcome.score, outcome.success) == (score, success)
     if success:
         assert outcome.completion_time == pytest.approx(2.2, abs=0.03)
-        assert outcome.presses[0].time == pytest.approx(0.275, abs=0.02)
-        assert outcome.presses[0].depth == pytest.approx(0.004)
+        assert outcome.memory["presses"][0].time == pytest.approx(0.275, abs=0.02)
+        assert outcome.memory["presses"][0].depth == pytest.approx(0.004)
 
 
 def test_every_planned_key_is_reached_above_and_pressed():
@@ -70,9 +68,9 @@ def test_every_planned_key_is_reached_above_and_pressed():
     for plan in (plans("keys")[0], plans("keys")[-1]):
         goal = plan.goal
         np.testing.assert_allclose(np.diff(goal.p_BK[:, 1]), -PITCH)
-        tips = hand.fingertips(plan.q_open)
+        tips = hand.fingertips(plan.postures["open"])
         np.testing.assert_allclose(tips[goal.touches], goal.p_BF_open[goal.touches], atol=1e-3)
-        for key, q in enumerate(plan.q_pressed):
+        for key, q in enumerate(plan.postures["pressed"]):
             moved = hand.fingertips(q) - goal.p_BF_open
             expected = np.where((goal.key_of == key)[:, None], [HOVER + TRAVEL, 0, 0], 0.0)
             np.testing.assert_allclose(moved[goal.touches], expected[goal.touches], atol=2e-3)
@@ -82,9 +80,9 @@ def test_every_plan_moves_three_fingertips_around_the_cap():
     hand = allegro()
     for plan in plans("cap"):
         goal = plan.goal
-        turns = np.linspace(0.0, goal.stroke, len(plan.q_open))
+        turns = np.linspace(0.0, goal.stroke, len(plan.postures["open"]))
         assert goal.stroke > np.deg2rad(39)
-        for turn, q_open, q_held in zip(turns, plan.q_open, plan.q_held, strict=True):
+        for turn, q_open, q_held in zip(turns, plan.postures["open"], plan.postures["held"], strict=True):
             off = (goal.fingertips(turn, 0.0) - goal.p_BC)[goal.touches]
             np.testing.assert_allclose(np.linalg.norm(off, axis=1), cap.RADIUS + hand.tip_radius, atol=1e-9)
             for q, depth in ((q_open, -cap.GAP), (q_held, cap.SQUEEZE)):
@@ -92,11 +90,11 @@ def test_every_plan_moves_three_fingertips_around_the_cap():
                 np.testing.assert_allclose(hand.fingertips(q)[goal.touches], wanted, atol=2e-3)
 
 
-def after(torque: float) -> tuple[float, float, CapOutcome]:
+def after(torque: float) -> tuple[float, float, Outcome]:
     """Turn, rad, and rise, m, of a cap after half a second of a torque, N m, and how it is judged."""
     task, builder = find_task("cap"), DiagramBuilder()
     up_B = np.array([-1.0, 0.0, 0.0])  # of the bottle, for a hand base with the world's axes
-    scenario = load_scenario(*task.scenario, "{task_settings: {turn: 45}}")
+    scenario = load_scenario(task="cap", text="{task_settings: {turn: 45}}")
     rng = np.random.default_rng(0)
     goal, X_WB = plans("cap")[0].goal, RigidTransform([0, 0, 1.0])
     stage = task.add_stage(builder, scenario, allegro().description, goal, X_WB, rng)
@@ -113,7 +111,7 @@ def after(torque: float) -> tuple[float, float, CapOutcome]:
     height = plant.GetBodyByName("cap").EvalPoseInWorld(context).translation() @ up_B
     simulator.AdvanceTo(0.5)
     rise = plant.GetBodyByName("cap").EvalPoseInWorld(context).translation() @ up_B - height
-    outcome = stage.monitor.outcome(stage.monitor.GetMyContextFromRoot(root))
+    outcome = stage.outcome(root)
     return plant.GetPositions(context)[thread.position_start()], rise, outcome
 
 
@@ -157,19 +155,20 @@ def released(path: list, y: float, yaw: float = 0.0) -> list:
 )
 def test_transfers_are_graded_by_the_steps_reached_in_order(task, path, reached):
     """An object on lines between (y, z, yaw, force of two fingers), one a second."""
-    steps = find_task(task).steps
-    monitor = TransferMonitor(2, steps, X_WP, lambda X: X.translation()[2])
+    steps = {"peg": peg, "pick_place": pick_place}[task].TRANSFER.steps
+    judge = judgement(steps, X_WP, lambda X: X.translation()[2])
     poses = [[np.cos(yaw / 2), 0, 0, np.sin(yaw / 2), 0.5, y, z + 0.01] for y, z, yaw, _ in path]
     t, force = np.arange(len(path), dtype=float), np.array(path)[:, [3, 3]]
-    outcome = outcome_of(monitor, t[-1], object_pose=(t, poses), contact=(t, force))
+    outcome = outcome_of(judge, t[-1], object_pose=(t, poses), contact=(t, force))
     assert outcome.score == pytest.approx(reached / len(steps))
     assert outcome.success == (reached == len(steps))
 
 
-@pytest.mark.parametrize("task", [find_task("peg"), find_task("pick_place")])
+@pytest.mark.parametrize("task", [peg, pick_place])
 def test_a_left_hand_has_its_place_on_the_other_side(task):
-    scenario = load_scenario(*task.scenario)
-    left, right = (task.place(scenario, side, np.random.default_rng(0)) for side in ("left", "right"))
+    scenario = load_scenario(task=task.TASK.name)
+    place = task.TRANSFER.place
+    left, right = (place(scenario, side, np.random.default_rng(0)) for side in ("left", "right"))
     assert right.translation()[1] < -0.1 < 0.1 < left.translation()[1]
     assert pose_to_vector(left)[:4] == pytest.approx(pose_to_vector(right)[:4])
 
@@ -255,7 +254,7 @@ def test_a_hand_without_the_fingers_is_refused_before_it_runs(task, lacks, messa
     hand = allegro().description
     without = dc.replace(hand, fingers=[finger for finger in hand.fingers if finger.name != lacks])
     with pytest.raises(ScenarioError, match=message):
-        find_task(task).plans(load_scenario(*find_task(task).scenario), without)
+        find_task(task).plans(load_scenario(task=task), without)
 
 
 def test_the_persons_parameters_are_those_of_the_published_results():
@@ -265,17 +264,16 @@ def test_the_persons_parameters_are_those_of_the_published_results():
     assert hashlib.sha256(json.dumps(defaults, sort_keys=True).encode()).hexdigest() == frozen
 
 
-def test_tasks_are_folders_and_say_what_is_wrong():
+def test_tasks_are_modules_and_say_what_is_wrong():
     assert {"grasp", "keys"} <= set(task_names())
     with pytest.raises(UnknownNameError, match="grasp, keys"):
         find_task("juggle")
     for text, error, message in (
-        ("{task: grasp, kind: clumsy}", UnknownNameError, "kind of person for task grasp"),
+        ("{kind: clumsy}", UnknownNameError, "kind of person for task keys"),
         ("{task_settings: {presses: -1}}", ScenarioError, "task_settings.presses"),
         ("{task_settings: {fingers: 3}}", ScenarioError, "task_settings has no 'fingers'"),
-        ("{task: grasp, kind: servo, task_settings: {presses: 3}}", ScenarioError, "empty for task grasp"),
     ):
         with pytest.raises(error, match=message):
-            load_scenario(*find_task("keys").scenario, text)
-    # A task may borrow another's scenario file.
-    assert load_scenario(*find_task("keys").scenario, "{kind: servo}", task="grasp").task == "grasp"
+            load_scenario(task="keys", text=text)
+    with pytest.raises(ScenarioError, match="peg has no settings"):
+        load_scenario(task="peg", text="{task_settings: {presses: 3}}")

@@ -202,7 +202,7 @@ def scenarios_of(
     if replay and arguments.objects is None and "object" in facts:
         objects = [facts["object"]]
         base.random_seed = int(facts.get("seed", base.random_seed))
-        base.timeout = float(replay.t[-1] - replay.t[0]) + base.monitor.hold_time
+        base.timeout = float(replay.t[-1] - replay.t[0]) + find_task("grasp").settings_of(base).hold_time
     scenarios = []
     for name in objects:
         for trial in range(arguments.trials):
@@ -246,7 +246,7 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
         recording: recording on which the retargeter was trained.
     """
     from geort_drake import load_hand
-    from geort_drake.simulation.tasks.grasp.contacts import GRIPS, grip_of
+    from geort_drake.simulation.plan.contacts import GRIPS, grip_of
 
     fingers = {*load_hand(hand).finger_names}
     graspable = any(fingers.issuperset(GRIPS[grip_of(name)].fingers) for name in DEFAULT_OBJECTS)
@@ -291,7 +291,7 @@ def _row(result: Any) -> tuple[str, ...]:
         f"[{'green' if result.success else 'red'}]{result.outcome}[/]",
         "–" if result.completion_time is None else f"{result.completion_time:.1f} s",
         "–" if result.attempts is None else str(result.attempts),
-        f"{100 * result.peak_height:.0f} cm" if hasattr(result, "peak_height") else "–",
+        f"{100 * result.metrics['peak_height']:.0f} cm" if "peak_height" in result.metrics else "–",
         f"{result.peak_force:.0f} N",
         f"{result.simulated_time / result.wall_time:.1f} ×",
     )

@@ -14,7 +14,7 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
-from geort_drake.simulation.monitor import Outcome
+from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import HELD_LOST, GloveChecks
@@ -57,8 +57,7 @@ class Teleoperation:
         """Returns the task's outcome so far; None without a simulation."""
         if self.simulation is None:
             return None
-        monitor: Any = self.simulation.stage.monitor
-        return monitor.outcome(monitor.GetMyContextFromRoot(root))
+        return self.simulation.stage.outcome(root)
 
     def restart(self, root: Context) -> None:
         """Restarts the simulation's task at the present time."""

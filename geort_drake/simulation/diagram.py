@@ -47,11 +47,6 @@ class TrialDiagram:
     operator: LeafSystem | None
     recorder: "RerunRecorder | None"
 
-    @property
-    def monitor(self) -> Any:
-        """Judges the task; see `Stage`."""
-        return self.stage.monitor
-
     def initialize(self, root: Context) -> None:
         """Prepares the task's stage in a context, and removes visual geometry.
 
@@ -92,7 +87,7 @@ def make_trial_diagram(
     model = model or RobotModel(scenario, description)
     X_WB_start = model.X_WB
 
-    # The plant and the monitor of the task.
+    # The plant and the judge of the task.
     task = find_task(scenario.task)
     goal = None if isinstance(human, Recording) else human[1]
     stage = task.add_stage(builder, scenario, description, goal, X_WB_start, rng)

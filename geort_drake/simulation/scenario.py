@@ -15,7 +15,6 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.resources import models_dir, object_names
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.intention import IntentionConfig
-from geort_drake.simulation.tasks.grasp.monitor import GraspMonitorConfig
 from geort_drake.simulation.worn_glove import WornGloveConfig
 from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
@@ -71,7 +70,7 @@ class RecordingConfig:
 class Scenario:
     """One trial: task, world, person, and the retargeting between person and robot."""
 
-    # Name of the task, a folder in geort_drake/simulation/tasks; and values for the task's own settings.
+    # Name of the task, a module of geort_drake/simulation/tasks; and values for the task's own settings.
     task: str = "grasp"
     task_settings: dict[str, float] = dc.field(default_factory=dict)
     # Kind of the simulated person, one of the task's `kinds`.
@@ -118,7 +117,6 @@ class Scenario:
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
     correction: CorrectionConfig = dc.field(default_factory=CorrectionConfig)
     wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)
-    monitor: GraspMonitorConfig = dc.field(default_factory=GraspMonitorConfig)
     recording: RecordingConfig = dc.field(default_factory=RecordingConfig)
 
 

@@ -46,9 +46,7 @@ _RULES = (
 )
 _MIN_TIME_STEP = 1e-5  # s; with a shorter step, a trial would take hours
 # Periods that must be multiples of the plant's time step.
-_PERIODS = tuple(
-    f"{part}.period" for part in ("retargeting", "wrist_to_arm", "operator", "monitor", "recording")
-)
+_PERIODS = tuple(f"{part}.period" for part in ("retargeting", "wrist_to_arm", "operator", "recording"))
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -74,8 +72,7 @@ def check_scenario(scenario: Scenario) -> None:
         scenario.intention.validate()
         scenario.correction.validate()
         scenario.wrist_to_arm.validate()
-        scenario.monitor.validate()
-        task.check_settings(scenario.task_settings)
+        task.settings_of(scenario)
     except ValueError as error:
         raise ScenarioError(f"scenario field {error}") from error
     try:
@@ -119,8 +116,8 @@ def load_scenario(
     Mappings are merged and lists replaced, as in Drake's hardware_sim.
 
     Args:
-        file: YAML file; by default the task's.
-        name: name of the scenario in the file; by default that of the task's scenario.
+        file: YAML file; by default the scenario is the task's own.
+        name: name of the scenario in the file, by default Grasp.
         text: YAML mapping of the fields to change, such as "{timeout: 30}".
         hand: name or file of a hand's description, instead of the scenario's.
         task: name of a task, instead of the scenario's; without one, the defaults are those of grasp.
@@ -130,21 +127,7 @@ def load_scenario(
         UnknownNameError: there is no scenario of that name, or see `check_scenario`.
         PolicyError: the policy that corrects commands cannot be run.
     """
-    own = find_task(task or "grasp").scenario
-    path, name = Path(file or own[0]), name or own[1]
-    if not path.is_file():
-        raise ScenarioError(f"scenario file {path} does not exist")
-    try:
-        node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ScenarioError(f"scenario file {path} must map names to scenarios: {fault_of(error)}") from error
-    if not isinstance(node, yaml.MappingNode):
-        raise ScenarioError(f"scenario file {path} must map names to scenarios")
-    choices = {key.value: content for key, content in node.value}
-    if name not in choices:
-        raise UnknownNameError(f"scenario in {path}", name, choices)
-    _check_fields(choices[name], f"scenario '{name}' in {path}")
-    scenario = _merged(path, name, text, Scenario())
+    scenario = _loaded(file, name, text, task, Scenario())
     scenario.hand, scenario.task = hand or scenario.hand, task or scenario.task
     check_scenario(scenario)
     if scenario.correction.kind == "policy":
@@ -152,30 +135,52 @@ def load_scenario(
     return scenario
 
 
-def names_object(file: str | os.PathLike | None = None, name: str = "Grasp", text: str | None = None) -> bool:
+def names_object(
+    file: str | os.PathLike | None = None, name: str | None = None, text: str | None = None
+) -> bool:
     """Whether a scenario that `load_scenario` accepts, or the merged text, sets the object's name."""
-    path = Path(file or find_task("grasp").scenario[0])
-    return bool(_merged(path, name, text, Scenario(object=ObjectConfig(name=""))).object.name)
+    return bool(_loaded(file, name, text, None, Scenario(object=ObjectConfig(name=""))).object.name)
 
 
-def _merged(path: Path, name: str, text: str | None, defaults: Scenario) -> Scenario:
-    source = f"scenario '{name}' in {path}"
-    try:
-        scenario = yaml_load_typed(schema=Scenario, filename=str(path), child_name=name, defaults=defaults)
-        if text:
-            source = f"text merged into {source}"
-            node = yaml.compose(text, Loader=yaml.SafeLoader)
-            _check_fields(node, source)
-            scenario = yaml_load_typed(schema=Scenario, data=text, defaults=scenario)
-    except ScenarioError:
-        raise
-    except Exception as error:  # Drake's loader raises many types for faulty YAML
-        raise ScenarioError(f"{source}: {fault_of(error)}") from error
+def _loaded(
+    file: str | os.PathLike | None, name: str | None, text: str | None, task: str | None, defaults: Scenario
+) -> Scenario:
+    own = find_task(task or "grasp").scenario
+    if file is None and isinstance(own, str):
+        scenario = _merged(own, None, f"the scenario of task {task}", defaults)
+        scenario.task = task or scenario.task
+    else:
+        default_file, default_name = ("", "Grasp") if isinstance(own, str) else own
+        scenario = _read(Path(file or default_file), name or default_name, defaults)
+    if text:
+        scenario = _merged(text, None, "the text merged into the scenario", scenario)
     return scenario
 
 
-def _check_fields(node: yaml.Node | None, source: str) -> None:
+def _read(path: Path, name: str, defaults: Scenario) -> Scenario:
+    """Reads a scenario by name from a file."""
+    if not path.is_file():
+        raise ScenarioError(f"scenario file {path} does not exist")
     try:
+        text = path.read_text(encoding="utf-8")
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ScenarioError(f"scenario file {path} must map names to scenarios: {fault_of(error)}") from error
+    if not isinstance(node, yaml.MappingNode):
+        raise ScenarioError(f"scenario file {path} must map names to scenarios")
+    choices = [key.value for key, _ in node.value]
+    if name not in choices:
+        raise UnknownNameError(f"scenario in {path}", name, choices)
+    return _merged(text, name, f"scenario '{name}' in {path}", defaults)
+
+
+def _merged(text: str, name: str | None, source: str, defaults: Scenario) -> Scenario:
+    """Returns the defaults with YAML merged in: a scenario, or the one of that name in a mapping."""
+    try:
+        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        if name is not None:
+            node = dict((key.value, content) for key, content in node.value)[name]
         check_fields(node, Scenario)
-    except ValueError as error:
-        raise ScenarioError(f"{source}: {error}") from error
+        return yaml_load_typed(schema=Scenario, data=text, child_name=name, defaults=defaults)
+    except Exception as error:  # Drake's loader raises many types for faulty YAML
+        raise ScenarioError(f"{source}: {fault_of(error)}") from error

@@ -1,26 +1,36 @@
-"""The interface of a task: what a person does with the robot, and how it is judged.
+"""What a task is: its scene, cases, plans, the person's behaviour, and a function that judges it, as data.
 
 `geort_drake.simulation.tasks` finds the tasks.
 """
 
-import abc
 import dataclasses as dc
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Generic, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
+from pydrake.multibody.tree import Joint, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import ConstantVectorSource
 
+from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.synthetic.hand import HumanHand
-from geort_drake.simulation.monitor import TaskMonitor
-from geort_drake.simulation.operators.goal import Intended
+from geort_drake.settings import require_numbers
+from geort_drake.simulation.judge import Judge, Judgement, Outcome
+from geort_drake.simulation.object_shape import ObjectShape
+from geort_drake.simulation.operators.goal import Goal, Plan
+from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY, SERVO
 from geort_drake.simulation.operators.simulated_operator import Person
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import Scene
+from geort_drake.simulation.world import Placement, Scene, add_robot, finish_scene, joint_state
+from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
+from geort_drake.systems.scene_view import SceneView
+
+KINDS = (ADAPTIVE, MIMICRY, SERVO)  # kinds of simulated people
 
 
 class PerceivedPort(NamedTuple):
@@ -36,33 +46,220 @@ States = Mapping[str, tuple[OutputPort, Sequence[str]]]
 Signals = Mapping[str, tuple[OutputPort, Sequence[str], str]]
 
 
+class Site(NamedTuple):
+    """Where a task adds what the hand handles: a plant with the robot that is not finalized.
+
+    Attributes:
+        goal: the person's goal.
+        X_WB: initial pose of the hand.
+        settings: the task's settings.
+        rng: draws everything that depends on the seed.
+    """
+
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    scenario: Scenario
+    description: HandDescription
+    goal: Goal
+    X_WB: RigidTransform
+    settings: Any
+    rng: np.random.Generator
+
+
+@dc.dataclass(frozen=True, eq=False)
+class Handled:
+    """What the hand handles, and how that is judged.
+
+    Attributes:
+        body: the body that the person sees and touches.
+        judgement: judges the task; see `Judge`.
+        states: names of the states that `Outcome.phase` counts.
+        parts: other bodies that count as parts of the body.
+        joints: joints for the judge's input port `joints`; and the names and unit of their positions.
+        shape, placement: of a free body, which falls.
+        shows: see `Judge`.
+    """
+
+    body: RigidBody
+    judgement: Judgement
+    states: Sequence[str]
+    parts: Sequence[RigidBody] = ()
+    joints: Sequence[Joint] = ()
+    positions: tuple[Sequence[str], str] = ((), "")
+    shape: ObjectShape | None = None
+    placement: Placement | None = None
+    shows: Mapping[str, Callable[[Outcome], Sequence[float]]] = dc.field(default_factory=dict)
+
+
 @dc.dataclass(frozen=True)
 class Stage:
     """The systems and ports that a task adds to a trial's diagram.
 
     Attributes:
         scene: the plant and its robot.
-        monitor: judges the task.
+        judge: judges the task.
         shown: name of the person's input port → the port that it perceives.
         states, signals: states and signals to record.
         bodies: free bodies whose path is recorded, and that are transparent in close-ups.
     """
 
     scene: Scene
-    monitor: TaskMonitor
+    judge: Judge
     shown: Mapping[str, PerceivedPort]
     states: States
     bodies: Sequence[RigidBody] = ()
     signals: Signals = dc.field(default_factory=dict)
 
+    def outcome(self, root: Context) -> Outcome:
+        """Returns the outcome so far."""
+        return self.judge.outcome(self.judge.GetMyContextFromRoot(root))
+
     def restart(self, root: Context) -> None:
         """Restarts the task at the present time, when the person is ready."""
-        self.monitor.restart(self.monitor.GetMyMutableContextFromRoot(root))
+        self.judge.restart(self.judge.GetMyMutableContextFromRoot(root))
+
+
+@dc.dataclass(frozen=True)
+class NoSettings:
+    """Settings of a task that has none."""
+
+
+@dc.dataclass(frozen=True, eq=False)
+class Task:
+    """A task; each module of `tasks` defines one named `TASK`.
+
+    Attributes:
+        name: name of the task and its module.
+        summary: one line for --help.
+        scenario: YAML of its scenario, see `Scenario`, or a file and the scenario's name in it.
+        plan: plans of the scenario's robot, best first. Raises ScenarioError if there are none.
+        add: adds to the plant what the hand handles. Raises ScenarioError or HandError if scenario and models
+            do not fit together.
+        person: makes the person from scenario, hand, goal and generator.
+        percepts: ports of view and judge that the person perceives besides fingertips and hand pose.
+        cases_of: returns the objects, one per trial; None for a task without a choice.
+        settings: dataclass of positive numbers for the scenario's `task_settings`.
+        mirror: name of a percept → signs that mirror it for a left hand.
+        kinds: kinds of people who can do it.
+        begins_after_play: whether a universal map adapts to people in free play before the trial; otherwise
+            it first sees them in the trial.
+    """
+
+    name: str
+    summary: str
+    scenario: str | tuple[Path, str]
+    plan: Callable[[Scenario, HandDescription], list[Plan]]
+    add: Callable[[Site], Handled]
+    person: Callable[[Scenario, HumanHand, Goal, np.random.Generator], Person]
+    percepts: tuple[str, ...]
+    cases_of: Callable[[], list[str]] | None = None
+    settings: type = NoSettings
+    mirror: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
+    kinds: tuple[str, ...] = KINDS
+    begins_after_play: bool = True
+
+    def cases(self) -> list[str]:
+        """Returns the cases of the task, one per trial, such as objects."""
+        return [self.name] if self.cases_of is None else self.cases_of()
+
+    def choose(self, scenario: Scenario, case: str) -> None:
+        """Sets the case in a scenario; raises UnknownNameError if there is none of that name."""
+        if case not in self.cases():
+            raise UnknownNameError("object", case, self.cases())
+        if self.cases_of is not None:
+            scenario.object.name = case
+
+    def case_of(self, scenario: Scenario) -> str:
+        """Returns the case of a scenario."""
+        return self.name if self.cases_of is None else scenario.object.name
+
+    def plans(self, scenario: Scenario, description: HandDescription) -> list[Goal]:
+        """Returns the goals of `plan`."""
+        return [plan.goal for plan in self.plan(scenario, description)]
+
+    def settings_of(self, scenario: Scenario) -> Any:
+        """Returns the settings of a scenario.
+
+        Raises:
+            ValueError: a setting is unknown or out of range.
+        """
+        names = [field.name for field in dc.fields(self.settings)]
+        for name in scenario.task_settings:
+            if name not in names:
+                choices = f"the settings are: {', '.join(names)}" if names else f"{self.name} has no settings"
+                raise ValueError(f"task_settings has no '{name}'; {choices}")
+        settings = self.settings(**scenario.task_settings)
+        require_numbers(settings, "task_settings")
+        return settings
+
+    def add_stage(
+        self,
+        builder: DiagramBuilder,
+        scenario: Scenario,
+        description: HandDescription,
+        goal: Goal | None,
+        X_WB: RigidTransform,
+        rng: np.random.Generator,
+    ) -> Stage:
+        """Adds plant, view and judge to a diagram.
+
+        Args:
+            goal: the person's goal; None in a replay.
+            X_WB: initial pose of the hand.
+            rng: draws everything that depends on the seed.
+
+        Raises:
+            ScenarioError, HandError: the scenario and the models do not fit together.
+        """
+        plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
+        add_robot(plant, scenario, description)
+        settings = self.settings_of(scenario)
+        if goal is None and self.cases_of is None:  # the place of what is handled depends on the goal
+            goal = self.plans(scenario, description)[0]
+        handled = self.add(Site(plant, scene_graph, scenario, description, goal, X_WB, settings, rng))
+        body = handled.body
+        scene = finish_scene(
+            plant, scene_graph, scenario, description, body, handled.shape, handled.placement
+        )
+        inspector = scene_graph.model_inspector()
+        parts = [part.index() for part in handled.parts]
+        view = builder.AddNamedSystem(
+            "scene_view", SceneView(plant, description, scene.hand, body.index(), inspector, parts)
+        )
+        builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
+        builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
+        brake = plant.get_desired_state_input_port(body.model_instance())
+        if brake.size():  # the object's actuated joint is a brake
+            zeros = builder.AddSystem(ConstantVectorSource(np.zeros(brake.size())))
+            builder.Connect(zeros.get_output_port(), brake)
+        num_fingers, num_links = len(description.fingers), len(view.links)
+        judge = builder.AddNamedSystem(
+            "judge", Judge(handled.judgement, num_fingers, num_links, len(handled.joints), handled.shows)
+        )
+        for port in map(judge.get_input_port, range(judge.num_input_ports())):
+            if view.HasOutputPort(port.get_name()):
+                builder.Connect(view.GetOutputPort(port.get_name()), port)
+        signals: Signals = {}
+        if handled.joints:
+            builder.Connect(joint_state(builder, plant, handled.joints), judge.GetInputPort("joints"))
+            signals = {f"{self.name}/positions": (judge.GetOutputPort("positions"), *handled.positions)}
+        mirror = {
+            "fingertips": np.tile(POINT_MIRROR, num_fingers),
+            **dict.fromkeys(("hand_pose", "object_pose", "place_pose"), POSE_MIRROR),
+            **self.mirror,
+        }
+        shown = {}
+        for name in ("fingertips", "hand_pose", *self.percepts):
+            system = view if view.HasOutputPort(name) else judge
+            shown[name] = PerceivedPort(system.GetOutputPort(name), mirror.get(name))
+        states = {self.name: (judge.GetOutputPort("phase"), handled.states)}
+        free = () if handled.placement is None else (body,)
+        return Stage(scene, judge, shown, states, free, signals)
 
 
 @dc.dataclass(frozen=True)
 class TrialResult:
-    """Result of one trial; times in simulated s. Tasks add fields."""
+    """Result of one trial; times in simulated s."""
 
     # Name of the task, and of its case, the object.
     task: str
@@ -85,82 +282,10 @@ class TrialResult:
     self_contact: float
     peak_force: float
     wall_time: float
+    # Figures of the task, described in its module.
+    metrics: Mapping[str, Any] = dc.field(default_factory=dict)
 
     def to_json(self) -> dict:
-        """Returns plain JSON types."""
-        return dc.asdict(self)
-
-
-class Task(abc.ABC, Generic[Intended]):
-    """Base class of tasks. Each module `tasks/NAME/task.py` defines an instance named `TASK`.
-
-    Attributes:
-        name: name of the task and its folder.
-        summary: one line for --help.
-        kinds: kinds of simulated people for the task; the first is the default.
-        result: type of a trial's result.
-        scenario: file and name of its scenario.
-        begins_after_play: whether people learn the map in free play before the trial and keep the map that
-            they played with; otherwise a universal map first sees them in the trial.
-    """
-
-    name: str
-    summary: str
-    kinds: tuple[str, ...]
-    result: type[TrialResult]
-    scenario: tuple[Path, str]
-    begins_after_play: bool = True
-
-    def cases(self) -> list[str]:
-        """Returns the cases of the task, one per trial, such as objects; by default the task itself."""
-        return [self.name]
-
-    def choose(self, scenario: Scenario, case: str) -> None:
-        """Sets the case in a scenario; raises UnknownNameError if there is none of that name."""
-
-    def case_of(self, scenario: Scenario) -> str:
-        """Returns the case of a scenario."""
-        return self.name
-
-    @abc.abstractmethod
-    def plans(self, scenario: Scenario, description: HandDescription) -> list[Intended]:
-        """Returns plans for the scenario's robot, best first; raises ScenarioError if there are none."""
-
-    @abc.abstractmethod
-    def add_stage(
-        self,
-        builder: DiagramBuilder,
-        scenario: Scenario,
-        description: HandDescription,
-        goal: Intended | None,
-        X_WB: RigidTransform,
-        rng: np.random.Generator,
-    ) -> Stage:
-        """Adds plant and monitor to a diagram.
-
-        Args:
-            goal: the person's goal; None in a replay.
-            X_WB: initial pose of the hand.
-            rng: draws everything that depends on the seed.
-
-        Raises:
-            ScenarioError, HandError: the scenario and the models do not fit together.
-        """
-
-    @abc.abstractmethod
-    def person(self, scenario: Scenario, hand: HumanHand, goal: Intended, rng: np.random.Generator) -> Person:
-        """Returns a person who perceives the ports of `Stage.shown`.
-
-        Args:
-            goal: mirrored for a left robot hand.
-            rng: draws the noise of perception and motion.
-        """
-
-    @abc.abstractmethod
-    def result_fields(self, outcome: Any, description: HandDescription) -> dict[str, Any]:
-        """Returns `outcome` as text, and the fields that `result` adds to `TrialResult`."""
-
-    def check_settings(self, settings: Mapping[str, float]) -> None:
-        """Raises ValueError for a wrong entry of the scenario's `task_settings`."""
-        if settings:
-            raise ValueError(f"task_settings must be empty for task {self.name}, not {dict(settings)}")
+        """Returns plain JSON types; the task's figures stand beside the others."""
+        values = dc.asdict(self)
+        return values | values.pop("metrics")

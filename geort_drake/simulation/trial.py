@@ -14,7 +14,7 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.monitor import Outcome
+from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks import find_task
@@ -50,10 +50,9 @@ def run_trial(
     simulator = Simulator(parts.diagram)
     root = simulator.get_mutable_context()
     parts.initialize(root)
-    context = parts.monitor.GetMyContextFromRoot(root)
     try:
-        # The monitor terminates the simulation when the task is judged.
-        while not (outcome := parts.monitor.outcome(context)).over and root.get_time() < scenario.timeout:
+        # The judge ends the simulation when the task is decided.
+        while not (outcome := parts.stage.outcome(root)).over and root.get_time() < scenario.timeout:
             if report is not None:
                 report(root.get_time())
             simulator.AdvanceTo(min(root.get_time() + _REPORT_PERIOD, scenario.timeout))
@@ -82,12 +81,13 @@ def _result(
         memory = parts.operator.memory(parts.operator.GetMyContextFromRoot(root))
         attempts, operator_phase = memory.attempt, memory.phase.name.lower()
     simulated_time = root.get_time()
-    return task.result(
+    return TrialResult(
         task=task.name,
         object=task.case_of(scenario),
         seed=scenario.random_seed,
         success=outcome.success,
         score=outcome.score,
+        outcome=outcome.text,
         operator_phase=operator_phase,
         completion_time=outcome.completion_time if outcome.success else None,
         first_attempt=None if attempts is None else outcome.success and attempts == 1,
@@ -96,5 +96,5 @@ def _result(
         self_contact=outcome.self_contact_time / simulated_time if simulated_time else 0.0,
         peak_force=outcome.peak_force,
         wall_time=wall_time,
-        **task.result_fields(outcome, parts.description),
+        metrics=outcome.metrics,
     )

@@ -2,7 +2,7 @@
 
 import dataclasses as dc
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.geometry import (
@@ -41,64 +41,62 @@ class Placement:
 
 @dc.dataclass(frozen=True, eq=False)
 class Scene:
-    """A finalized plant with a robot.
+    """A finalized plant with a robot and the body that it handles.
 
     Attributes:
         arm, hand: models whose joints the plant's PD controllers drive.
+        body: the body that the hand handles.
         fixed_base: whether the arm keeps its position.
+        shape, placement: of a free body; `initialize` applies the mass factor.
     """
 
     plant: MultibodyPlant
     scene_graph: SceneGraph
     arm: ModelInstanceIndex
     hand: ModelInstanceIndex
+    body: RigidBody
     fixed_base: bool
+    shape: ObjectShape | None = None
+    placement: Placement | None = None
 
     def initialize(self, root: Context) -> None:
-        """Sets what only a context can hold, such as the locks of a fixed base's joints."""
+        """Sets what only a context can hold: the locks of a fixed base's joints, and the object's mass."""
         context = self.plant.GetMyMutableContextFromRoot(root)
         for index in self.plant.GetJointIndices(self.arm) if self.fixed_base else ():
             self.plant.get_joint(index).Lock(context)
-
-
-@dc.dataclass(frozen=True, eq=False)
-class ObjectScene(Scene):
-    """A scene with an object.
-
-    Attributes:
-        placement: pose and factors of the object; `initialize` applies the mass factor.
-    """
-
-    object_body: RigidBody
-    object_shape: ObjectShape
-    placement: Placement
-
-    def initialize(self, root: Context) -> None:
-        super().initialize(root)
-        context = self.plant.GetMyMutableContextFromRoot(root)
-        M = self.object_body.CalcSpatialInertiaInBodyFrame(context)
-        mass = self.placement.mass_factor * M.get_mass()
-        scaled = SpatialInertia(mass, M.get_com(), M.get_unit_inertia())
-        self.object_body.SetSpatialInertiaInBodyFrame(context, scaled)
+        if self.placement is not None:
+            M = self.body.CalcSpatialInertiaInBodyFrame(context)
+            mass = self.placement.mass_factor * M.get_mass()
+            scaled = SpatialInertia(mass, M.get_com(), M.get_unit_inertia())
+            self.body.SetSpatialInertiaInBodyFrame(context, scaled)
 
 
 def add_scene(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    description: HandDescription,
-    rng: np.random.Generator,
-    add_fixtures: Callable[[MultibodyPlant], None] = lambda plant: None,
-) -> ObjectScene:
+    builder: DiagramBuilder, scenario: Scenario, description: HandDescription, rng: np.random.Generator
+) -> Scene:
     """Adds the plant of a scenario with its object to a diagram; `rng` draws the placement.
-
-    `add_fixtures` adds geometry that the directives lack.
 
     Raises:
         ScenarioError, HandError: the scenario and the models do not fit together.
     """
     plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
     add_robot(plant, scenario, description)
-    add_fixtures(plant)
+    placed = add_placed_object(plant, scene_graph, scenario, description, rng)
+    return finish_scene(plant, scene_graph, scenario, description, *placed)
+
+
+def add_placed_object(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    scenario: Scenario,
+    description: HandDescription,
+    rng: np.random.Generator,
+) -> tuple[RigidBody, ObjectShape, Placement]:
+    """Adds the scenario's object to a plant with a robot; `rng` draws the placement.
+
+    Raises:
+        ScenarioError: the object has no usable geometry.
+    """
     body = add_object(plant, scenario.object.name)
     shape = object_shape(plant, scene_graph.model_inspector(), body)
     placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
@@ -106,8 +104,7 @@ def add_scene(
     _scale_friction(plant, scene_graph, body, placement.friction_factor)
     if scenario.fingertip_modulus:
         _soften_fingertips(plant, scene_graph, description, body, scenario.fingertip_modulus)
-    robot = finish_scene(plant, scene_graph, scenario, description, body.model_instance())
-    return ObjectScene(**vars(robot), object_body=body, object_shape=shape, placement=placement)
+    return body, shape, placement
 
 
 def finish_scene(
@@ -115,9 +112,11 @@ def finish_scene(
     scene_graph: SceneGraph,
     scenario: Scenario,
     description: HandDescription,
-    falling: ModelInstanceIndex | None = None,
+    body: RigidBody,
+    shape: ObjectShape | None = None,
+    placement: Placement | None = None,
 ) -> Scene:
-    """Finalizes a plant with the scenario's robot; gravity acts on the model `falling` only.
+    """Finalizes a plant with the scenario's robot; gravity acts on a body with a placement only.
 
     A real arm's controller compensates gravity for arm and hand, and everything else is fixed.
 
@@ -127,12 +126,13 @@ def finish_scene(
     arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
     _scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
     for number in range(plant.num_model_instances()):
-        if (model := ModelInstanceIndex(number)) != falling:
+        model = ModelInstanceIndex(number)
+        if placement is None or model != body.model_instance():
             plant.set_gravity_enabled(model, False)
     plant.Finalize()
     _require_controllers(plant, hand, f"hand '{description.name}'")
     _require_controllers(plant, arm, "the arm")
-    return Scene(plant, scene_graph, arm, hand, scenario.fixed_base)
+    return Scene(plant, scene_graph, arm, hand, body, scenario.fixed_base, shape, placement)
 
 
 def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:

@@ -4,8 +4,9 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.simulation.operators.goal import Plan
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.cap.planner import CapPlan, CapPlanner
+from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from geort_drake.systems.python_system import PythonSystem
@@ -22,11 +23,11 @@ class ScriptedCap(PythonSystem):
         desired_state (2n): joint positions and velocities in actuator order.
     """
 
-    def __init__(self, plan: CapPlan, scene: Scene, description: HandDescription):
+    def __init__(self, plan: Plan, scene: Scene, description: HandDescription):
         super().__init__()
         order = hand_order(scene, description)
         start = np.array([joint.default_positions()[0] for joint in actuated_joints(scene.plant, scene.hand)])
-        q_open, q_held = plan.q_open[:, order], plan.q_held[:, order]
+        q_open, q_held = plan.postures["open"][:, order], plan.postures["held"][:, order]
 
         def at(path: np.ndarray, share: float) -> np.ndarray:
             place = share * (len(path) - 1)
@@ -49,11 +50,11 @@ class ScriptedCap(PythonSystem):
         self.DeclareVectorOutputPort("desired_state", 2 * len(start), output)
 
 
-def plans(scenario: Scenario, description: HandDescription) -> list[CapPlan]:
+def plans(scenario: Scenario, description: HandDescription) -> list[Plan]:
     """Returns plans for the cap, the best first."""
-    return CapPlanner(description).plans()
+    return find_task("cap").plan(scenario, description)
 
 
-def scripted(scenario: Scenario, plan: CapPlan, seed: int) -> float:
+def scripted(scenario: Scenario, plan: Plan, seed: int) -> float:
     """Returns the score of the scripted robot in one trial, 0 without success."""
     return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedCap(plan, *robot))

@@ -2,8 +2,8 @@
 
 from plans import script
 
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.trial import run_trial
 from scripted.pick_place import oracle, plans
 

@@ -4,8 +4,9 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
+from geort_drake.simulation.operators.goal import Plan
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.keys.planner import KeysPlan, KeysPlanner
+from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import Scene, actuated_joints
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from geort_drake.systems.python_system import PythonSystem
@@ -23,11 +24,11 @@ class ScriptedKeys(PythonSystem):
         desired_state (2n): joint positions and velocities in actuator order.
     """
 
-    def __init__(self, plan: KeysPlan, scene: Scene, description: HandDescription):
+    def __init__(self, plan: Plan, scene: Scene, description: HandDescription):
         super().__init__()
         order = hand_order(scene, description)
         start = np.array([joint.default_positions()[0] for joint in actuated_joints(scene.plant, scene.hand)])
-        postures = [start, plan.q_open[order], *(q[order] for q in plan.q_pressed)]
+        postures = [start, plan.postures["open"][order], *(q[order] for q in plan.postures["pressed"])]
         cue = self.DeclareVectorInputPort("cue", 1)
         # Start of the last movement (n), number of its target posture, and its start time.
         state = self.DeclareDiscreteState(np.array([*start, 0.0, 0.0]))
@@ -58,11 +59,11 @@ class ScriptedKeys(PythonSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(0.01, 0.0, update)
 
 
-def plans(scenario: Scenario, description: HandDescription) -> list[KeysPlan]:
+def plans(scenario: Scenario, description: HandDescription) -> list[Plan]:
     """Returns plans for the keys, the best first."""
-    return KeysPlanner(description).plans()
+    return find_task("keys").plan(scenario, description)
 
 
-def scripted(scenario: Scenario, plan: KeysPlan, seed: int) -> float:
+def scripted(scenario: Scenario, plan: Plan, seed: int) -> float:
     """Returns the score of the scripted robot in one trial, 0 without success."""
     return run_script(scenario, plan.goal, seed, lambda *robot: ScriptedKeys(plan, *robot))

@@ -7,10 +7,9 @@ from pydrake.systems.analysis import Simulator
 
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import make_trial_diagram
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.transfer_task import TransferTask
+from geort_drake.simulation.tasks import peg
 from geort_drake.simulation.trial import run_trial
 from geort_drake.systems.port_values import vector_to_pose
 from scripted.pick_place import oracle, plans
@@ -23,16 +22,15 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
 
     A first run ends with the lift and gives the dowel's pose in the hand.
     """
-    task, robot = find_task(scenario.task), oracle(scenario.hand)
-    assert isinstance(task, TransferTask)
+    transfer, robot = peg.TRANSFER, oracle(scenario.hand)
     scenario.random_seed = seed
     squeeze = scenario.operator.squeeze
     X_WB, X_WO = _lifted(scenario, robot, script(scenario, robot, goal, squeeze))
-    X_WP = task.place(scenario, robot.description.side, np.random.default_rng(seed))
+    X_WP = transfer.place(scenario, robot.description.side, np.random.default_rng(seed))
     R_WO = RotationMatrix.MakeZRotation(RollPitchYaw(X_WO.rotation()).yaw_angle())  # upright
     X_BO = X_WB.inverse() @ X_WO
     above = RigidTransform(R_WO, X_WP.translation()) @ X_BO.inverse() @ goal.X_OB.inverse()
-    result, _ = run_trial(scenario, robot, script(scenario, robot, goal, squeeze, (above, task.hover)))
+    result, _ = run_trial(scenario, robot, script(scenario, robot, goal, squeeze, (above, transfer.hover)))
     return result.score if result.success else 0.0
 
 

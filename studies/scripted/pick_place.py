@@ -8,10 +8,9 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.transfer_task import TransferTask
+from geort_drake.simulation.tasks import find_task, pick_place
 from geort_drake.simulation.trial import run_trial
 
 PULL = 0.1  # fraction of the distance to the middle of the joint ranges per iteration
@@ -27,19 +26,20 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
 
     A first run ends with the lift and gives the object's orientation in the hand.
     """
-    task, robot = find_task(scenario.task), oracle(scenario.hand)
-    assert isinstance(task, TransferTask)
+    transfer, robot = pick_place.TRANSFER, oracle(scenario.hand)
     scenario.random_seed = seed
     rng = np.random.default_rng(seed).spawn(1)[0]
-    X_WP = task.place(scenario, robot.description.side, rng)
+    X_WP = transfer.place(scenario, robot.description.side, rng)
     squeeze, timeout = scenario.operator.squeeze, scenario.timeout
     lift = script(scenario, robot, goal, squeeze)
     scenario.timeout = float(lift.t[-1]) - HOLDING
     lifted, _ = run_trial(scenario, robot, lift)
     R_WO = goal.object_frame(object_pose(scenario)).rotation()
-    X_WP = RigidTransform(RotationMatrix.MakeZRotation(-lifted.place_turn) @ R_WO, X_WP.translation())
+    X_WP = RigidTransform(
+        RotationMatrix.MakeZRotation(-lifted.metrics["place_turn"]) @ R_WO, X_WP.translation()
+    )
     scenario.timeout = timeout
-    result, _ = run_trial(scenario, robot, script(scenario, robot, goal, squeeze, (X_WP, task.hover)))
+    result, _ = run_trial(scenario, robot, script(scenario, robot, goal, squeeze, (X_WP, transfer.hover)))
     return result.score if result.success else 0.0
 
 

@@ -50,7 +50,7 @@ def run_script(
     root = simulator.get_mutable_context()
     stage.scene.initialize(root)
     simulator.AdvanceTo(scenario.timeout)
-    outcome = stage.monitor.outcome(stage.monitor.GetMyContextFromRoot(root))
+    outcome = stage.outcome(root)
     return outcome.score if outcome.success else 0.0
 
 

@@ -44,7 +44,7 @@ def watched(parts: TrialDiagram, duration: float) -> Invariants:
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
     limits = np.array([actuator.effort_limit() for actuator in actuators])
     places = np.array([actuator.joint().velocity_start() for actuator in actuators])
-    thing, dt = parts.stage.scene.object_body.index(), plant.time_step()
+    thing, dt = parts.stage.scene.body.index(), plant.time_step()
     excess = lowest = before = applied = None
 
     simulator = Simulator(parts.diagram)
@@ -76,8 +76,10 @@ def watched(parts: TrialDiagram, duration: float) -> Invariants:
         seen.contacts += depth > 0
         seen.gained = max(seen.gained, gained)
         seen.violations += share > 1 + 1e-6 or depth > PENETRATION or gained > ENERGY
-        over = parts.monitor.outcome(parts.monitor.GetMyContextFromRoot(root)).over
-        return EventStatus.ReachedTermination(parts.monitor, "judged") if over else EventStatus.Succeeded()
+        over = parts.stage.outcome(root).over
+        return (
+            EventStatus.ReachedTermination(parts.stage.judge, "judged") if over else EventStatus.Succeeded()
+        )
 
     simulator.set_monitor(look)
     simulator.AdvanceTo(duration)

@@ -14,9 +14,9 @@ from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import FingerMotion, limited
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.operators.perception import Seen, SensedGain, VisualError, averaged, perceive
 from geort_drake.simulation.operators.state import OperatorState, Phase
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 from geort_drake.systems.port_values import vector_to_pose
 

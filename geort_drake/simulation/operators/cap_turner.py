@@ -38,8 +38,8 @@ class TurnerState(HolderState):
 class CapTurner(HoldingPerson[TurnerState]):
     """Closes the fingers around a cap, squeezes, turns, opens and returns, again and again.
 
-    The person perceives the cap's turn `turned` (1), rad, besides `contact`. A stroke ends when the cap is
-    seen to turn no further. Squeezing and opening are not corrected by sight.
+    The person perceives `positions` (1), the cap's turn, rad, besides `contact`. A stroke ends when the cap
+    is seen to turn no further. Squeezing and opening are not corrected by sight.
     """
 
     phases, state, begins_open = CapPhase, TurnerState, True
@@ -55,7 +55,7 @@ class CapTurner(HoldingPerson[TurnerState]):
                 self._enter(state, CapPhase.TURN, t)
                 state.farthest, state.progress_at = -np.inf, t
         elif state.phase == CapPhase.TURN:
-            turned = np.sign(self._goal.stroke) * scene.percepts["turned"][0]
+            turned = np.sign(self._goal.stroke) * scene.percepts["positions"][0]
             if turned > state.farthest + _VISIBLE_TURN:
                 state.farthest, state.progress_at = turned, t
             stroke_over = since > self._stroke_time + config.visual_delay

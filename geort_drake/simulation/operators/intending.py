@@ -14,6 +14,7 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.behavior import GraspingPerson
 from geort_drake.simulation.operators.config import OperatorConfig
 from geort_drake.simulation.operators.finger_motion import limited
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.operators.intention import (
     ADAPTIVE,
     MIMICRY,
@@ -23,7 +24,6 @@ from geort_drake.simulation.operators.intention import (
     learned_in_play,
 )
 from geort_drake.simulation.operators.state import OperatorState, Phase
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 
 
 class IntendingPerson(GraspingPerson):

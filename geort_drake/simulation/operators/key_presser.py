@@ -37,7 +37,7 @@ _ACTIVE = (KeyPhase.CHOOSE, KeyPhase.PRESS, KeyPhase.RELEASE)
 
 
 class KeyPresser(FingerPerson[PresserState]):
-    """Presses the cued key; perceives `travel` (K,) of the keys, m, and `cue`, see `KeysMonitor`."""
+    """Presses the cued key; perceives `positions` (K,), the travel of the keys, m, and `cue` (1)."""
 
     phases, state = KeyPhase, PresserState
 
@@ -58,7 +58,7 @@ class KeyPresser(FingerPerson[PresserState]):
                 self._enter(state, KeyPhase.PRESS, t)
                 state.p_HF_press = state.p_HF_past[-1]
         elif state.phase == KeyPhase.PRESS:
-            if scene.percepts["travel"][self._goal.key_of[state.finger]] > _DOWN or not cue:
+            if scene.percepts["positions"][self._goal.key_of[state.finger]] > _DOWN or not cue:
                 self._enter(state, KeyPhase.RELEASE, t)
                 state.p_HF_release = state.p_HF_past[-1]
         elif since > config.press_time:
@@ -68,7 +68,7 @@ class KeyPresser(FingerPerson[PresserState]):
         return np.array([state.finger]) if state.phase in _ACTIVE else self._used
 
     def _is_free(self, state: PresserState, scene: SeenFingers, finger: int) -> bool:
-        return scene.percepts["travel"][self._goal.key_of[finger]] <= _MOVED
+        return scene.percepts["positions"][self._goal.key_of[finger]] <= _MOVED
 
     def _corrected(self, state: PresserState) -> list[int]:
         # A releasing finger moves back to where it began, without correction.
@@ -79,7 +79,7 @@ class KeyPresser(FingerPerson[PresserState]):
         goal, config, since = self._goal, self._intention, t - state.phase_start
         # A finger whose key goes down without a cue is too low.
         idle = np.array([f for f in self._used if f != state.finger or state.phase == KeyPhase.WAIT])
-        low = [f for f in idle if scene.percepts["travel"][goal.key_of[f]] > _MOVED]
+        low = [f for f in idle if scene.percepts["positions"][goal.key_of[f]] > _MOVED]
         state.raised = state.raised.copy() if len(state.raised) else np.zeros(len(self._own))
         for finger in low:
             step = config.lift * self._config.period / config.attention_time

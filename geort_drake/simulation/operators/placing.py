@@ -12,11 +12,11 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.operators.intending import IntendingPerson
 from geort_drake.simulation.operators.intention import IntentionConfig
 from geort_drake.simulation.operators.perception import Seen, VisualError
 from geort_drake.simulation.operators.state import OperatorState, Phase
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
 from geort_drake.systems.port_values import rotation_of_vector
 
 

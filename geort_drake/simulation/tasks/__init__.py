@@ -1,4 +1,4 @@
-"""Finds tasks by name: each folder here whose `task.py` defines `TASK` is one."""
+"""Finds tasks by name: each module here defines one, named `TASK`."""
 
 import functools
 import importlib
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def task_names() -> list[str]:
     """Names of all tasks."""
-    return sorted(path.parent.name for path in Path(__file__).parent.glob("*/task.py"))
+    return sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
 
 
 @functools.cache
@@ -25,4 +25,4 @@ def find_task(name: str) -> "Task":
     """
     if name not in task_names():
         raise UnknownNameError("task", name, task_names())
-    return importlib.import_module(f"{__name__}.{name}.task").TASK
+    return importlib.import_module(f"{__name__}.{name}").TASK

@@ -14,10 +14,9 @@ from pydrake.math import RigidTransform
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.finger_planner import require_fingers
-from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.approach import APPROACH_CLEARANCE, GraspApproach
-from geort_drake.simulation.tasks.grasp.contacts import (
+from geort_drake.simulation.operators.goal import GraspGoal
+from geort_drake.simulation.plan.approach import APPROACH_CLEARANCE, GraspApproach
+from geort_drake.simulation.plan.contacts import (
     GRIPS,
     Contact,
     contact_heights,
@@ -28,8 +27,9 @@ from geort_drake.simulation.tasks.grasp.contacts import (
     vertical_extent,
     yaw_candidates,
 )
-from geort_drake.simulation.tasks.grasp.goal import GraspGoal
-from geort_drake.simulation.tasks.grasp.kinematics import GraspKinematics
+from geort_drake.simulation.plan.fingertips import require_fingers
+from geort_drake.simulation.plan.kinematics import GraspKinematics
+from geort_drake.simulation.scenario import Scenario
 
 # Least gap between two fingertips, and between a fingertip and the object's support, m.
 _TIP_GAP = 0.002

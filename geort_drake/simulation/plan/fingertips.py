@@ -1,9 +1,6 @@
 """Plans postures of a hand whose fingertips must reach given points."""
 
-import abc
-import dataclasses as dc
 from collections.abc import Collection, Iterable, Sequence
-from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -11,80 +8,48 @@ from scipy.optimize import least_squares
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
-from geort_drake.simulation.operators.goal import Intended
+from geort_drake.simulation.operators.goal import Plan
 
 _TOLERANCE = 0.001  # m, largest position error of a fingertip
 _LIMIT_MARGIN = 0.1  # fraction of its range that a joint keeps from either limit
 _COMFORT = 1e-3  # m per range; weight of a joint's distance from the middle of its range
 
 
-@dc.dataclass(frozen=True)
-class FingerPlan(Generic[Intended]):
-    """A goal and postures of the hand for it. Tasks add further postures.
+class FingerPlanner:
+    """Finds postures in which the tips of K fingers are at given points; the others keep their defaults.
 
     Attributes:
-        discomfort: mean square distance of the fingers' joints from the middle of their ranges, in ranges.
-        q_open: (n,) or (steps, n) joint positions with the fingers away from the object, rad.
-    """
-
-    goal: Intended
-    discomfort: float
-    q_open: np.ndarray
-
-
-Plan = TypeVar("Plan", bound=FingerPlan[Any])
-
-
-class FingerPlanner(abc.ABC, Generic[Plan]):
-    """Plans a task for the tips of K fingers; the other fingers keep their default positions.
-
-    Attributes:
-        needed: names of the K fingers.
-        task: start of the error message for a hand that lacks one of them, such as "the keys need".
-        aim: what a hand without a plan cannot do, for the error message.
         hand: model of the hand alone.
         fingers: (K,) indices of the fingers among all F of the description.
         radius: (K,) radii of their tips, m.
         touches: (F,) whether a finger is one of the K.
         side: sign of y in B towards the index finger: 1 for a right hand, −1 for a left one.
 
+    Args:
+        needed: names of the K fingers.
+        task: start of the error message for a hand that lacks one of them, such as "the keys need".
+
     Raises:
         ScenarioError: the hand lacks one of the fingers.
     """
 
-    needed: ClassVar[tuple[str, ...]]
-    task: ClassVar[str]
-    aim: ClassVar[str]
-
-    def __init__(self, description: HandDescription):
-        require_fingers(description, self.needed, self.task)
+    def __init__(self, description: HandDescription, needed: Sequence[str], task: str):
+        require_fingers(description, needed, task)
         known = description.finger_names
         self.hand = HandModel(description)
-        self.fingers = np.array([known.index(name) for name in self.needed])
+        self.fingers = np.array([known.index(name) for name in needed])
         self.radius = np.array([description.fingers[index].tip_radius for index in self.fingers])
-        self.touches = np.isin(known, self.needed)
+        self.touches = np.isin(known, needed)
         self.side = -1.0 if description.side == "left" else 1.0
         joints = [name for index in self.fingers for name in description.fingers[index].joints]
         self._columns = np.array([self.hand.joint_names.index(name) for name in joints])
         self._context = self.hand.contact_context()
 
-    def plans(self) -> list[Plan]:
-        """Returns all plans for the task, the best first; deterministic.
-
-        Raises:
-            ScenarioError: the hand has no plan.
-        """
-        if not (found := self._find()):
-            raise ScenarioError(f"hand '{self.hand.description.name}' cannot {self.aim}")
-        return sorted(found, key=self._rank)
-
-    @abc.abstractmethod
-    def _find(self) -> Sequence[Plan]:
-        """Returns all plans, in any order."""
-
-    def _rank(self, plan: Plan) -> tuple[float, ...]:
-        """Returns the sort key of a plan, lowest first; by default its discomfort."""
-        return (plan.discomfort,)
+    def best_first(self, plans: Sequence[Plan], aim: str) -> list[Plan]:
+        """Returns plans by their cost; raises ScenarioError without any, as the hand cannot `aim`."""
+        if not plans:
+            raise ScenarioError(f"hand '{self.hand.description.name}' cannot {aim}")
+        return sorted(plans, key=lambda plan: plan.cost)
 
     def discomfort(self, q: np.ndarray) -> float:
         """Mean square distance of the fingers' joints from the middle of their ranges, in ranges."""
@@ -99,6 +64,18 @@ class FingerPlanner(abc.ABC, Generic[Plan]):
         tips = self.hand.fingertips(self.hand.default_position).copy()
         tips[self.fingers] = p_BF
         return tips
+
+    def tips_point_down(self, q: np.ndarray, least: float) -> bool:
+        """Whether the last links of the fingers point along x of B, by at least the sine `least`."""
+        self.hand.query(q, self._context)
+        context = self.hand.plant.GetMyContextFromRoot(self._context)
+        for index in self.fingers:
+            finger = self.hand.description.fingers[index]
+            link = self.hand.plant.GetBodyByName(finger.tip_link, self.hand.instance)
+            tip = link.EvalPoseInWorld(context).rotation().matrix() @ np.asarray(finger.tip_point)
+            if tip[0] < least * np.linalg.norm(tip):
+                return False
+        return True
 
     def is_clear(self, q: np.ndarray, p_BQ: np.ndarray, gap: float, ignored: Collection[str] = ()) -> bool:
         """Whether no links but fingertips and ignored ones are within `gap`, m, of p_BQ (N, 3)."""

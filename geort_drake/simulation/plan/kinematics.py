@@ -13,8 +13,8 @@ from geort_drake.hands.description import FingerDescription, HandDescription
 from geort_drake.hands.importers.fingertips import parts_of
 from geort_drake.hands.links import palm_links, tip_geometries
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
+from geort_drake.simulation.plan.contacts import Contact
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks.grasp.contacts import Contact
 from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
 
 # Clearance between all bodies except the grasping fingertips, m. Some of the hand's own links are never

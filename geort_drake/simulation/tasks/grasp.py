@@ -1,0 +1,204 @@
+"""The grasp: lift an object and hold it.
+
+Figures of the result: `tip_success`, whether only fingertip links touched the object during the hold;
+`holding`, link → time for which it did, s; `phase_times` and `phase_durations`, phase → time of its first
+entry and time spent in it, s; `drops`, lifts that ended; `slip`, largest displacement of the object in the
+hand during the last lift, m, None without a lift; `peak_height`, m.
+"""
+
+import dataclasses as dc
+import enum
+import math
+from collections.abc import Callable, Collection, Sequence
+
+import numpy as np
+from pydrake.math import RigidTransform
+
+from geort_drake.files import finite_json
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.resources import diagrams_dir, object_names
+from geort_drake.simulation.judge import PERIOD, Judgement, Observation, Outcome
+from geort_drake.simulation.operators.behavior import GraspingPerson
+from geort_drake.simulation.operators.goal import GraspGoal, Plan
+from geort_drake.simulation.operators.intending import IntendingPerson
+from geort_drake.simulation.operators.intention import SERVO
+from geort_drake.simulation.operators.simulated_operator import Person
+from geort_drake.simulation.plan.grasp import GraspPlanner
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import Handled, Site, Task
+from geort_drake.simulation.world import add_placed_object
+from geort_drake.systems.port_values import vector_to_pose
+
+
+class GraspPhase(enum.IntEnum):
+    """Phases of a grasp, as the judge sees it."""
+
+    REACH = 0  # nothing touches the object
+    TOUCH = 1  # one finger touches
+    GRASP = 2  # two or more fingers touch
+    LIFT = 3  # ... and the object has left its support
+    HOLD = 4  # ... and the object is high enough
+    DONE = 5  # ... and the object stayed there long enough
+    THROWN = 6  # the object lies off its support, out of reach
+
+
+_LIFTED = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
+_TIME_TOLERANCE = 1e-9  # s; sums of periods are rounded
+
+
+@dc.dataclass(frozen=True)
+class GraspSettings:
+    """Criteria of a successful grasp."""
+
+    # The object's lowest point must be this high above its support, m, for this long, s.
+    height: float = 0.10
+    hold_time: float = 2.0
+    # Height above which the object has left its support, m.
+    lifted: float = 0.005
+    # The object was thrown if it is this far below its support, or this far from its start and untouched, m.
+    fallen: float = 0.03
+    strayed: float = 0.30
+    # Contact force above which a finger touches, N.
+    touch_force: float = 0.02
+    # A lifted object was dropped if fewer than two fingers have touched it for this long, s.
+    drop_time: float = 0.1
+
+
+def judgement(
+    settings: GraspSettings,
+    links: Sequence[str],
+    tip_links: Collection[str],
+    lowest_point: Callable[[RigidTransform], float],
+    support_height: float,
+) -> Judgement:
+    """Returns the function that judges a grasp.
+
+    Args:
+        links: names of the hand's links.
+        tip_links: those that carry fingertips.
+        lowest_point: maps X_WO to the height in W of the object's lowest point, m.
+        support_height: height of the support in W, m.
+    """
+    names = np.array(links)
+    at_start = {
+        "times": {},
+        "durations": {},
+        "held_since": math.nan,
+        "holding": {},
+        "last_touched": GraspPhase.REACH,
+        "drops": 0,
+        "slip": math.nan,
+        "peak_height": 0.0,
+        "p_WO_start": None,
+        # During a lift, p_BO at its start, and since when fewer than two fingers have touched the object.
+        "p_BO_lifted": None,
+        "loose_since": math.nan,
+    }
+
+    def judge(before: Outcome, seen: Observation) -> Outcome:
+        t, memory = before.t, dict(before.memory or at_start)
+        X_WO, force = vector_to_pose(seen["object_pose"]), seen["contact"].tolist()
+        if memory["p_WO_start"] is None:
+            memory["p_WO_start"] = X_WO.translation()
+        height = lowest_point(X_WO) - support_height
+        touching = sum(one > settings.touch_force for one in force)
+        x, y = (X_WO.translation() - memory["p_WO_start"])[:2].tolist()
+        held_since, holding = math.nan, {}
+        if height >= settings.height and touching >= 2:
+            held_since = t if math.isnan(memory["held_since"]) else memory["held_since"]
+            held = names[seen["link_contact"] > settings.touch_force].tolist()
+            holding = memory["holding"] | {link: memory["holding"].get(link, 0.0) + PERIOD for link in held}
+            phase = GraspPhase.DONE if t - held_since >= settings.hold_time else GraspPhase.HOLD
+        elif height < -settings.fallen or (math.hypot(x, y) > settings.strayed and touching == 0):
+            phase = GraspPhase.THROWN
+        elif height > settings.lifted and touching >= 2:
+            phase = GraspPhase.LIFT
+        else:
+            phase = GraspPhase(min(touching, 2))
+        memory |= {"held_since": held_since, "holding": holding}
+
+        loose_since = math.nan
+        if phase in _LIFTED:
+            p_BO = vector_to_pose(seen["hand_pose"]).inverse() @ X_WO.translation()
+            if memory["p_BO_lifted"] is None:
+                memory |= {"p_BO_lifted": p_BO, "slip": 0.0}
+            memory["slip"] = max(memory["slip"], float(np.linalg.norm(p_BO - memory["p_BO_lifted"])))
+        elif memory["p_BO_lifted"] is not None:
+            loose_since = memory["loose_since"]
+            if touching < 2 and math.isnan(loose_since):
+                loose_since = t
+            # A short loss of contact is chatter of the contact model, not a drop.
+            if height <= settings.lifted or t - loose_since >= settings.drop_time - _TIME_TOLERANCE:
+                memory |= {"drops": memory["drops"] + 1, "p_BO_lifted": None}
+                loose_since = math.nan
+        memory["loose_since"] = loose_since
+
+        if t > 0:
+            name = GraspPhase(before.phase).name
+            memory["durations"] = {
+                **memory["durations"],
+                name: memory["durations"].get(name, 0.0) + PERIOD,
+            }
+        memory["times"] = {**memory["times"], phase.name: memory["times"].get(phase.name, t)}
+        memory["peak_height"] = max(memory["peak_height"], height)
+        over = phase in (GraspPhase.DONE, GraspPhase.THROWN)
+        if touching and not over:
+            memory["last_touched"] = phase
+        reached = [GraspPhase[name] for name in memory["times"] if name != GraspPhase.THROWN.name]
+        success = phase == GraspPhase.DONE
+        text = f"timeout: {phase.name.lower()}"
+        if phase == GraspPhase.THROWN:
+            text = f"thrown: {memory['last_touched'].name.lower()}"
+        return before.having(
+            phase=int(phase),
+            success=success,
+            over=over,
+            score=max(reached, default=0) / GraspPhase.DONE,
+            completion_time=held_since if success else math.nan,
+            text="success" if success else text,
+            memory=memory,
+            metrics={
+                "tip_success": success and holding.keys() <= set(tip_links),
+                "holding": {link: round(spent, 6) for link, spent in holding.items()},
+                "phase_times": memory["times"],
+                "phase_durations": {name: round(spent, 6) for name, spent in memory["durations"].items()},
+                "drops": memory["drops"],
+                "slip": finite_json(memory["slip"]),
+                "peak_height": memory["peak_height"],
+            },
+        )
+
+    return judge
+
+
+def _add(site: Site) -> Handled:
+    body, shape, placement = add_placed_object(
+        site.plant, site.scene_graph, site.scenario, site.description, site.rng
+    )
+    hand = site.plant.GetModelInstanceByName("hand")
+    links = [site.plant.get_body(index).name() for index in site.plant.GetBodyIndices(hand)]
+    tip_links = [finger.tip_link for finger in site.description.fingers]
+    support = site.scenario.object.support_height
+    judge = judgement(site.settings, links, tip_links, shape.lowest_point, support)
+    states = [phase.name.lower() for phase in GraspPhase]
+    return Handled(body, judge, states, shape=shape, placement=placement)
+
+
+def _person(scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator) -> Person:
+    if scenario.kind == SERVO:
+        return GraspingPerson(hand, goal, scenario.operator, rng)
+    return IntendingPerson(hand, goal, scenario.operator, rng, scenario.kind, scenario.intention)
+
+
+TASK = Task(
+    name="grasp",
+    summary="lift an object and hold it",
+    scenario=(diagrams_dir() / "grasp.scenarios.yaml", "Grasp"),
+    plan=lambda scenario, description: [Plan(goal) for goal in GraspPlanner(scenario, description).plans()],
+    add=_add,
+    person=_person,
+    percepts=("object_pose", "contact"),
+    cases_of=object_names,
+    settings=GraspSettings,
+    begins_after_play=False,
+)

@@ -1,0 +1,147 @@
+"""Tasks that bring an object to a place, in steps.
+
+Figures of their results: `place_error` and `place_turn`, final horizontal distance from the place, m, and
+signed angle about the vertical, rad; `step_times`, step → time at which it was reached, s.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.simulation.judge import Judgement, Observation, Outcome
+from geort_drake.simulation.operators.goal import GraspGoal
+from geort_drake.simulation.operators.placing import PlacingPerson
+from geort_drake.simulation.operators.simulated_operator import Person
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import Handled, Site, Task
+from geort_drake.simulation.world import add_placed_object
+from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
+
+TOUCH_FORCE = 0.02  # N, force above which a finger touches
+HOLD_TIME = 0.5  # s for which the last step must stay done
+# The object is lost if it is this far below its place, or this far from it and untouched, m.
+_MAX_FALL, _MAX_OFFSET = 0.025, 0.4
+
+
+class CarriedState(NamedTuple):
+    """An object relative to its place; lengths in m, angles in rad."""
+
+    height: float  # height of its lowest point above where that belongs
+    offset: float  # horizontal distance
+    turn: float  # angle about the vertical, modulo the quarter turns of a square
+    tilt: float  # angle of its z axis from the vertical
+    touching: int  # number of fingers that touch it
+
+
+# Name of a step → whether it is done; a step counts only after those before it.
+Steps = Mapping[str, Callable[[CarriedState], bool]]
+
+
+def judgement(
+    steps: Steps, X_WP: RigidTransform, lowest_point: Callable[[RigidTransform], float]
+) -> Judgement:
+    """Returns the function that judges a transfer.
+
+    Args:
+        steps: the steps, in order.
+        X_WP: pose at which the object belongs.
+        lowest_point: maps X_WO to the height in W of the object's lowest point, m.
+    """
+    ground, is_done = lowest_point(X_WP), list(steps.values())
+
+    def carried_state(seen: Observation) -> CarriedState:
+        X_WO = vector_to_pose(seen["object_pose"])
+        offset = X_WO.translation() - X_WP.translation()
+        R = X_WP.rotation().matrix().T @ X_WO.rotation().matrix()
+        return CarriedState(
+            height=lowest_point(X_WO) - ground,
+            offset=math.hypot(*offset[:2]),
+            turn=math.remainder(math.atan2(R[1, 0], R[0, 0]), math.pi / 2),
+            tilt=math.acos(min(max(X_WO.rotation().matrix()[2, 2], -1.0), 1.0)),
+            touching=int(np.sum(seen["contact"] > TOUCH_FORCE)),
+        )
+
+    def judge(before: Outcome, seen: Observation) -> Outcome:
+        t, carried = before.t, carried_state(seen)
+        times: tuple[float, ...] = before.memory.get("times", ())
+        done_since = math.nan
+        if is_done[len(times)](carried):
+            if len(times) < len(steps) - 1:
+                times = (*times, t)
+            else:
+                done_since = before.memory.get("done_since", math.nan)
+                done_since = t if math.isnan(done_since) else done_since
+                if t - done_since > HOLD_TIME - 1e-9:
+                    times = (*times, done_since)
+        lost = carried.height < -_MAX_FALL or (carried.offset > _MAX_OFFSET and carried.touching == 0)
+        success = len(times) == len(steps)
+        reached = dict(zip(steps, times, strict=False))
+        last = list(reached)[-1] if reached else "reach"
+        return before.having(
+            phase=len(times),
+            success=success,
+            over=success or lost,
+            score=len(times) / len(steps),
+            completion_time=times[-1] if success else math.nan,
+            text="success" if success else f"{'lost' if lost else 'timeout'}: {last}",
+            memory={"times": times, "done_since": done_since},
+            metrics={
+                "place_error": carried.offset,
+                "place_turn": carried.turn,
+                "step_times": {name: round(time, 6) for name, time in reached.items()},
+            },
+        )
+
+    return judge
+
+
+class Transfer(NamedTuple):
+    """What a task that brings an object to its place adds to the grasp.
+
+    Attributes:
+        steps: the steps, in order.
+        place: returns X_WP from scenario, side of the hand and generator.
+        hover: height above its place from which the person lowers the object, m.
+        upright: whether the person turns the object upright; otherwise, its tilt is left to gravity.
+        add_fixtures: adds geometry that depends on the place.
+    """
+
+    steps: Steps
+    place: Callable[[Scenario, str, np.random.Generator], RigidTransform]
+    hover: float
+    upright: bool
+    add_fixtures: Callable[[MultibodyPlant, RigidTransform], None] = lambda plant, X_WP: None
+
+    def add(self, site: Site) -> Handled:
+        """Adds the object and what marks its place; see `Task`."""
+        X_WP = self.place(site.scenario, site.description.side, site.rng.spawn(1)[0])
+        self.add_fixtures(site.plant, X_WP)
+        body, shape, placement = add_placed_object(
+            site.plant, site.scene_graph, site.scenario, site.description, site.rng
+        )
+        place = pose_to_vector(X_WP)
+        return Handled(
+            body,
+            judgement(self.steps, X_WP, shape.lowest_point),
+            ["reach", *self.steps],
+            shape=shape,
+            placement=placement,
+            shows={"place_pose": lambda outcome: place},
+        )
+
+    def person(
+        self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator
+    ) -> Person:
+        """Returns a person who grasps the object and brings it to its place."""
+        known = hand, goal, scenario.operator, rng, scenario.kind, scenario.intention
+        return PlacingPerson(*known, hover=self.hover, upright=self.upright)
+
+    def task(self, **fields: Any) -> Task:
+        """Returns a task with these further fields of `Task`."""
+        percepts = ("object_pose", "contact", "place_pose")
+        return Task(add=self.add, person=self.person, percepts=percepts, **fields)
