@@ -25,8 +25,8 @@ from geort_drake.errors import HandError, OutputError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.description import write_description
+from geort_drake.hands.importers.arrangement import fingers_by_name
 from geort_drake.hands.importers.checks import examine
-from geort_drake.hands.importers.finger_names import fingers_by_name
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.retargeting.collision import CollisionGaps
@@ -214,7 +214,7 @@ def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices
         ("urdf", {"</robot>": ""}, "not XML"),
         ("urdf", {"(?s)<link.*</joint>": ""}, "no links"),
         ("urdf", {"</robot>": '<finger xmlns="xacro"/></robot>'}, "expand them first"),
-        ("xml", {"<worldbody>": '<include file="gone.xml"/><worldbody>'}, "gone.xml, which is missing"),
+        ("xml", {"<worldbody>": '<include file="gone.xml"/><worldbody>'}, "gone.xml"),
         ("xml", {"(</?)mujoco": r"\1mujocoinclude"}, "give the file that includes it"),
     ],
 )

@@ -2,9 +2,9 @@
 
 import dataclasses as dc
 import re
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -13,7 +13,6 @@ from hand_family import HandSpec, write_hand
 from pydrake.geometry import Role
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
-from scipy.spatial.transform import Rotation
 
 from geort_drake import HandModel, load_hand
 from geort_drake.cli import run_command
@@ -22,10 +21,10 @@ from geort_drake.hands.assembly import detach_from_world, parse_model
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.hands.importers.checks import examine
-from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
-from geort_drake.hands.importers.couplings import tendon_couplings
+from geort_drake.hands.importers.conversion import convert_model, unreadable_meshes
 from geort_drake.hands.importers.fingertips import surface_points
 from geort_drake.hands.importers.proposal import propose
+from geort_drake.hands.model_files import read_couplings
 from geort_drake.retargeting.collision import CollisionGaps
 
 # A rigid part that hangs on the index finger's last link, off its axes, and how far it reaches along them.
@@ -65,37 +64,16 @@ def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
     """Collision geometry is as large as the visual geometry; the checks then find no fault."""
     model = drawn_alone(tmp_path, kind)
     assert "--hulls" in examine(HandModel(propose(model).description))[0]
-    given = add_collisions(model)
+    description = propose(model, hulls=True).description
     drawn = ["palm", *(f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4))]
     bare = {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"}
-    assert set(given) == set(drawn) - bare | ({"nail"} if kind in PARTS else set())
-    hand = HandModel(propose(model).description)
-    for link in given:
+    assert set(description.collide_as_drawn) == set(drawn) - bare | ({"nail"} if kind in PARTS else set())
+    hand = HandModel(description)
+    for link in description.collide_as_drawn:
         found, wanted = (reach(hand, link, role) for role in (Role.kProximity, Role.kIllustration))
         np.testing.assert_allclose(found, wanted, atol=1e-6)
     assert not any("without collision" in text or "no collision" in text for text in examine(hand))
-    assert add_collisions(model) == []
-
-
-def test_the_command_describes_a_copy(tmp_path):
-    """With --hulls, telling materials of one name apart; model and folders of another kind do not change."""
-    model = drawn_alone(tmp_path, "urdf")
-    colours = (f'<material name="m"><color rgba="0 0 0.{n} 1"/></material></visual>' for n in range(99))
-    model.write_text(re.sub("</visual>", lambda _: next(colours), model.read_text()))
-    before = model.read_bytes()
-    output = tmp_path / "described" / "hand.yaml"
-    output.parent.mkdir()
-    for _ in range(2):
-        run_command("add-hand", [str(model), "--hulls", "--output", str(output), "--quiet", "--overwrite"])
-    notes = output.parent / "hand_model" / "notes.txt"
-    notes.write_text("mine")
-    for source in (model, notes.parent / model.name):
-        with pytest.raises(OutputError, match="is no earlier copy of hand"):
-            run_command("add-hand", [str(source), "--hulls", "--output", str(output), "--overwrite"])
-        notes.unlink(missing_ok=True)
-    assert model.read_bytes() == before
-    hand = HandModel(output)
-    assert hand.scene_graph.model_inspector().NumGeometriesWithRole(Role.kProximity) == 13
+    assert not propose(write_hand(tmp_path, HandSpec(3, kind)), hulls=True).description.collide_as_drawn
 
 
 # A box off its mesh's origin, longer along z than along y, m.
@@ -138,26 +116,48 @@ def _with_mesh(folder: Path, kind: str, name: str) -> Path:
         "<inertial>": '<inertial><origin xyz="-0.012 0 0.04"/>',
     }
     if kind == "xml":
-        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="a"/>'
-        head += '<compiler meshdir="parts"/><worldbody>'
+        head = f'<asset><mesh file="{name}"/></asset><compiler meshdir="parts"/><worldbody>'
         changes = {"<worldbody>": head, '<geom type="box".*?/>': f'<geom type="mesh" mesh="{name[:4]}"/>'}
     (folder / "parts").mkdir()
     (folder / "parts" / name).write_bytes(MESHES[name])
     return write_hand(folder, HandSpec(4, kind, mimic=False), changes=changes)
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl"), ("xml", "palm.glb")]
-)
+def test_the_command_describes_a_copy(tmp_path):
+    """Of a mesh that Drake cannot read, telling materials of one name apart.
+
+    Model and folders of another kind do not change.
+    """
+    model = _with_mesh(tmp_path, "urdf", "palm.stl")
+    drawn = "<visual><geometry><sphere radius='0.001'/></geometry>"
+    colours = (
+        f'{drawn}<material name="m"><color rgba="0 0 0.{n} 1"/></material></visual>' for n in range(99)
+    )
+    model.write_text(re.sub("</link>", lambda _: next(colours) + "</link>", model.read_text()))
+    before = model.read_bytes()
+    output = tmp_path / "described" / "hand.yaml"
+    output.parent.mkdir()
+    for _ in range(2):
+        run_command("add-hand", [str(model), "--output", str(output), "--quiet", "--overwrite"])
+    notes = output.parent / "hand_model" / "notes.txt"
+    notes.write_text("mine")
+    with pytest.raises(OutputError, match="is no earlier copy of hand"):
+        run_command("add-hand", [str(model), "--output", str(output), "--overwrite"])
+    assert model.read_bytes() == before
+    HandModel(output)
+
+
+@pytest.mark.parametrize(("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl")])
 def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
     """In its place and unit, also when moved: STL of both kinds, binary glTF with y or z up, PLY, COLLADA."""
     model = _with_mesh(tmp_path, kind, name)
-    assert [mesh.name for mesh in unreadable_meshes(model)] == [name]
-    add_collisions(convert_model(model, tmp_path / "copy", notes := []))
-    assert [note[:25] for note in notes] == ["the .glb meshes have z up"] * (name == "z_up.glb")
-    copy = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
-    assert unreadable_meshes(copy) == []
-    hand = HandModel(propose(copy).description)
+    assert [mesh.name for mesh in unreadable_meshes(model)] == [name] * (kind == "urdf")
+    if kind == "urdf":  # MuJoCo reads those of MJCF
+        convert_model(model, tmp_path / "copy", notes := [])
+        assert [note[:25] for note in notes] == ["the .glb meshes have z up"] * (name == "z_up.glb")
+        model = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
+        assert unreadable_meshes(model) == []
+    hand = HandModel(propose(model).description)
     assert len(hand.plant.GetCollisionGeometriesForBody(hand.plant.GetBodyByName("palm"))) == 1
     bounds = [CORNERS.min(axis=0), CORNERS.max(axis=0)]
     np.testing.assert_allclose(reach(hand, "palm", Role.kProximity), bounds, atol=1e-6)
@@ -224,62 +224,101 @@ def test_an_unusable_mesh_is_named(content, message, tmp_path):
     assert not (tmp_path / "copy").exists()
 
 
-def tree(body: str, head: str = "") -> ET.Element:
-    return ET.fromstring(f"<mujoco>{head}<worldbody><body name='root'>{body}</body></worldbody></mujoco>")
+def write_mjcf(folder: Path, body: str, more: str = "") -> Path:
+    path = folder / "model.xml"
+    world = f"<worldbody><body name='root'>{body}</body></worldbody>"
+    path.write_text(f"<mujoco><compiler angle='radian'/>{world}{more}</mujoco>", encoding="utf-8")
+    return path
+
+
+MASS = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
+
+
+def in_drake(path: Path):
+    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
+    hand = parse_model(plant, path, "model")
+    detach_from_world(plant, hand)
+    plant.Finalize()
+    return plant, scene_graph, hand
+
+
+JOINTS = {
+    "plain": '<joint name="k" axis="1 2 0"/>',
+    "reference": '<joint name="k" axis="1 0 0" ref="0.4" range="-1 1"/>',
+    "off the origin": '<joint name="k" axis="0 1 0" pos="0.1 0.2 0.3" ref="-0.3"/>',
+    "slide": '<joint name="k" type="slide" axis="0 1 1" ref="0.05" pos="0.1 0 0"/>',
+    "three": '<joint name="k" axis="1 0 0" pos="0.1 0 0"/>'
+    '<joint name="l" axis="0 1 0" ref="0.2" pos="0 0.1 0"/>'
+    '<joint name="m" type="slide" axis="0 0 1" ref="0.1"/>',
+}
+
+
+@pytest.mark.parametrize("joints", JOINTS)
+def test_a_link_lies_where_mujoco_has_it(joints, tmp_path, rng):
+    """To 1e-9 m, with references, joints off the origin, several joints of one body, and frames."""
+    tip = f'<body name="tip" pos="1 2 2" quat="1 2 3 4">{MASS}</body>'
+    tip = f'<frame pos="0 0 1" euler="0.1 0.2 0.3">{tip}</frame>'
+    inner = f'{MASS}<body name="f" pos="0.01 0 0" euler="0.3 0 0">{MASS}{JOINTS[joints]}{tip}</body>'
+    path = write_mjcf(tmp_path, inner)
+    m = mujoco.MjModel.from_xml_path(str(path))
+    data, names = mujoco.MjData(m), [m.joint(number).name for number in range(m.njnt)]
+    plant, *_ = in_drake(path)
+    context = plant.CreateDefaultContext()
+    starts = [plant.GetJointByName(name).default_positions()[0] for name in names]
+    np.testing.assert_allclose(starts, m.qpos0)
+    for q in (m.qpos0, *rng.uniform(-1, 1, (3, m.nq))):
+        data.qpos = q
+        mujoco.mj_kinematics(m, data)
+        for name, angle in zip(names, q, strict=True):
+            position = plant.GetPositions(context)
+            position[plant.GetJointByName(name).position_start()] = angle
+            plant.SetPositions(context, position)
+        X = plant.GetFrameByName("tip").CalcPose(context, plant.GetFrameByName("root"))
+        np.testing.assert_allclose(X.translation(), data.body("tip").xpos, atol=1e-9)
+        np.testing.assert_allclose(X.rotation().matrix().ravel(), data.body("tip").xmat, atol=1e-9)
 
 
 @pytest.mark.parametrize("servo", ['position kp="7"', 'general biastype="affine" gainprm="7" biasprm="0 -7"'])
 def test_mjcf_is_read_as_mujoco_reads_it(servo, tmp_path):
     """Axis, limits, gain and size reach inner classes, also through a class without joint, geom or motor.
 
-    Classes of several files are one; files name others relative to the first. All joints of a body turn about
-    its origin; it does not touch its parent. A servo's force is limited by its range of force, not by that of
-    its input. The base may have a motor, a fixed body no mass; a frame is a body; surroundings are left out.
+    Files name others relative to the first. A link does not touch its parent. A servo's force is limited by
+    its range of force, not by that of its input. Surroundings are left out.
     """
     tag = servo.split()[0]
-    (tmp_path / "classes.xml").write_text(
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "classes.xml").write_text(
         '<mujoco><default><joint axis="0 1 0"/><default class="a"><joint axis="1 0 0" range="0 1"/>'
         f'<geom type="sphere" size="0.03"/><{servo} ctrlrange="0 1" forcerange="-5 5"/>'
         '<default class="b"><site/><default class="c"><geom rgba="1 0 0 1"/></default></default>'
         "</default></default></mujoco>",
         encoding="utf-8",
     )
-    (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "all.xml").write_text('<mujoco><include file="classes.xml"/></mujoco>')
-    mass = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
-    model = tree(
-        f'{mass}<joint name="j" class="c"/><geom class="c"/><body name="f" pos="0.01 0 0" euler="0.3 0 0">'
-        f'{mass}<geom class="c"/><joint name="k"/><joint name="l" axis="0 0 1"/><frame pos="0 0 1">'
-        f'<body name="tip" pos="1 2 2">{mass.replace("1", "0")}</body></frame></body>',
-        '<compiler angle="radian"/><include file="parts/all.xml"/><default><joint range="-1 2"/></default>'
-        f'<actuator><{tag} joint="j" class="c"/></actuator><worldbody><geom size="9"/><body name="table"/>'
-        '</worldbody><contact><exclude body1="root" body2="table"/></contact>',
+    path = write_mjcf(
+        tmp_path,
+        f'{MASS}<geom class="c"/><body name="f" pos="0.01 0 0">{MASS}<geom class="c"/>'
+        '<joint name="j" class="c" armature="0.01" damping="0.2"/></body>',
+        f'<include file="parts/classes.xml"/><actuator><{tag} joint="j" class="c"/></actuator>'
+        '<worldbody><geom size="9"/><body name="table"><geom size="1"/></body></worldbody>',
     )
-    (tmp_path / "model.xml").write_bytes(ET.tostring(model))
-    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    hand = parse_model(plant, tmp_path / "model.xml", "model")
+    plant, scene_graph, _ = in_drake(path)
     joint, inspector = plant.GetJointByName("j"), scene_graph.model_inspector()
     np.testing.assert_allclose(joint.revolute_axis(), [1, 0, 0])
-    limits = [(j.position_lower_limit(), j.position_upper_limit()) for j in map(plant.GetJointByName, "jkl")]
-    assert limits == [(0, 1), (-1, 2), (-1, 2)]
+    assert (joint.position_lower_limit(), joint.position_upper_limit()) == (0, 1)
+    assert joint.default_damping() == 0.2
     (motor,) = (plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices())
     assert (motor.get_controller_gains().p, motor.effort_limit()) == (7, 5)
-    assert inspector.GetShape(inspector.GetAllGeometryIds(Role.kProximity)[0]).radius() == 0.03
-    detach_from_world(plant, hand)
-    plant.Finalize()
+    assert motor.default_rotor_inertia() == 0.01
+    shapes = [inspector.GetShape(id) for id in inspector.GetAllGeometryIds(Role.kProximity)]
+    assert [shape.radius() for shape in shapes] == [0.03, 0.03]
     assert not inspector.GetCollisionCandidates() and not plant.HasBodyNamed("table")
-    context = plant.CreateDefaultContext()
-    for name, angle in (("k", 0.5), ("l", 0.4)):
-        plant.GetJointByName(name).set_angle(context, angle)
-    tip, root = plant.GetFrameByName("tip"), plant.GetFrameByName("root")
-    wanted = Rotation.from_euler("XYZ", [0.3, 0.5, 0.4]).apply([1, 2, 3]) + [0.01, 0, 0]
-    np.testing.assert_allclose(tip.CalcPose(context, root).translation(), wanted)
 
 
-def tendon(coefficients: dict[str, float], settings: str = "", more: str = "") -> ET.Element:
-    joints = '<joint name="a"/><body><joint name="b"/><body><joint name="c"/></body></body>'
+def tendon(coefficients: dict[str, float], settings: str = "", more: str = "") -> tuple[str, str]:
+    joints = f'{MASS}<body>{MASS}<joint name="a"/><body>{MASS}<joint name="b"/>'
+    joints += f'<body>{MASS}<joint name="c"/></body></body></body>'
     parts = "".join(f'<joint joint="{joint}" coef="{c}"/>' for joint, c in coefficients.items())
-    return tree(joints, f'<tendon><fixed name="t" {settings}>{parts}</fixed></tendon>{more}')
+    return joints, f'<tendon><fixed name="t" {settings}>{parts}</fixed></tendon>{more}'
 
 
 OPPOSITE = {"a": -0.008, "b": 0.007}
@@ -293,35 +332,43 @@ FIXED_LENGTH = '<equality><tendon tendon1="t" polycoef="0.5 0 0 0 0"/></equality
 @pytest.mark.parametrize(
     ("model", "expected"),
     [
-        (tendon(OPPOSITE, 'range="0.013 0.015"'), [("b", "a", 8 / 7, 2.0, False)]),
-        (tendon(OPPOSITE, 'class="tight"', TIGHT), [("b", "a", 8 / 7, 0.0, False)]),
-        (tendon({"b": 1, "a": -1}, more=FIXED_LENGTH), [("b", "a", 1.0, 0.5, False)]),
-        (tendon({"a": 2, "b": 1}, more=MOTOR), [("b", "a", 0.5, 0.0, True)]),
-        (tendon(OPPOSITE, NARROW, OUTER_MOTOR), [("a", "b", 7 / 8, 0.0, False)]),
+        (tendon(OPPOSITE, 'range="0.013 0.015"'), [("b", "a", 8 / 7, 2.0)]),
+        (tendon(OPPOSITE, 'class="tight"', TIGHT), [("b", "a", 8 / 7, 0.0)]),
+        (tendon({"b": 1, "a": -1}, more=FIXED_LENGTH), [("b", "a", 1.0, 0.5)]),
+        (tendon({"a": 2, "b": 1}, more=MOTOR), [("b", "a", 0.5, 0.0)]),
+        (tendon(OPPOSITE, NARROW, OUTER_MOTOR), [("a", "b", 7 / 8, 0.0)]),
         (tendon(OPPOSITE, 'range="-0.01 0.01"'), []),
-        (tendon(OPPOSITE, NARROW, '<compiler autolimits="false"/>'), []),
         (tendon({"a": 1, "b": 1, "c": 1}, NARROW), []),
         (tendon({"a": 1, "b": 1}, more=MOTOR.replace("/><", '/><motor joint="b"/><')), []),
         (tendon(OPPOSITE, more=FIXED_LENGTH.replace("/>", ' active="false"/>')), []),
-        (tendon(OPPOSITE, NARROW, '<equality><joint joint1="a" joint2="b"/></equality>'), []),
+        (
+            tendon(OPPOSITE, NARROW, '<equality><joint joint1="a" joint2="b"/></equality>'),
+            [("a", "b", 1.0, 0.0)],
+        ),
     ],
     ids=["range", "class", "equality", "motor", "outer leads"]
-    + ["loose", "no limits", "three joints", "motors of both", "inactive", "equality of joints"],
+    + ["loose", "three joints", "motors of both", "inactive", "equality of joints"],
 )
-def test_a_tendon_couples_two_joints(model, expected):
+def test_a_tendon_couples_two_joints(model, expected, tmp_path):
     """By its range, its class's, a fixed length, or one motor; a joint with a motor leads.
 
     Loose or inactive ones couple nothing, nor those of three joints, or of joints with motors or an equality.
     """
-    found = [(*dc.astuple(each.coupling), each.assumed) for each in tendon_couplings(model)]
-    assert found == [pytest.approx(each) for each in expected]
+    couplings, notes = read_couplings(write_mjcf(tmp_path, *model))
+    assert [dc.astuple(each) for each in couplings] == [pytest.approx(each) for each in expected]
+    assert ("assuming equal stiffness" in " ".join(notes)) == (expected == [("b", "a", 0.5, 0.0)])
 
 
 def test_ignored_parts_are_named(tmp_path):
     """Closed loops, and tendons of other kinds that motors pull."""
     more = '<equality><connect body1="index_l3" body2="middle_l3" anchor="0 0 0"/></equality>'
-    more += '<tendon><spatial name="rope"/></tendon><actuator><motor tendon="rope"/></actuator>'
-    model = write_hand(tmp_path, HandSpec(3, "xml"), changes={"</mujoco>": f"{more}</mujoco>"})
+    more += '<tendon><spatial name="rope"><site site="one"/><site site="two"/></spatial></tendon>'
+    more += '<actuator><motor tendon="rope"/></actuator>'
+    sites = {
+        '(<body name="palm">)': r'\1<site name="one"/>',
+        '(<body name="index_l3".*?>)': r'\1<site name="two"/>',
+    }
+    model = write_hand(tmp_path, HandSpec(3, "xml"), changes={"</mujoco>": f"{more}</mujoco>", **sites})
     notes = " ".join(propose(model).notes)
     assert "move independently: 'rope'" in notes and "closed loop at 'index_l3' and 'middle_l3'" in notes
 

@@ -51,7 +51,7 @@ class AddHand(Command):
     overwrite: bool = False
     """replace the description if it exists"""
     hulls: bool = False
-    """write a copy in which links without collision geometry collide with their visual geometry's hulls"""
+    """let links without collision geometry collide as they are drawn, meshes as their hulls"""
     rrd: Annotated[Path | None, arg(metavar="FILE")] = None
     """also write a Rerun recording of the hand (.rrd)"""
     json: Json = None
@@ -96,7 +96,7 @@ class AddHand(Command):
     def _describe(self) -> "tuple[Path, HandDescription, list[str]]":
         """Writes a model's description; returns its path, the description and notes for the user."""
         from geort_drake.hands.description import write_description
-        from geort_drake.hands.importers.conversion import add_collisions, convert_model, unreadable_meshes
+        from geort_drake.hands.importers.conversion import convert_model, unreadable_meshes
         from geort_drake.hands.importers.proposal import propose
 
         given = self.model
@@ -110,14 +110,10 @@ class AddHand(Command):
         model = given
         notes: list[str] = []
         meshes = listed([mesh.name for mesh in unreadable_meshes(given)])
-        if meshes or self.hulls:
-            model = convert_model(given, path.with_name(f"{path.stem}_model"), notes)
         if meshes:
+            model = convert_model(given, path.with_name(f"{path.stem}_model"), notes)
             notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
-        if self.hulls:
-            links = listed(add_collisions(model))
-            notes.append(f"links with collision geometry made from their visual geometry: {links or 'none'}")
-        proposal = propose(model, name, self.palm)
+        proposal = propose(model, name, self.palm, self.hulls)
         notes += proposal.notes
         write_description(
             proposal.description, path, [f"Made by geort-drake hand add from {given.name}.", *notes]

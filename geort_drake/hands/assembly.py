@@ -8,10 +8,18 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.common.eigen_geometry import AngleAxis
-from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, Role, SceneGraph
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    Convex,
+    GeometryId,
+    GeometrySet,
+    Mesh,
+    Role,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     Frame,
@@ -26,12 +34,8 @@ from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
 from geort_drake.hands.description import HandDescription, load_hand, resolved_couplings
-from geort_drake.hands.model_files import (
-    check_model_values,
-    model_files,
-    read_model,
-    resolve_reference,
-)
+from geort_drake.hands.mjcf import add_mjcf
+from geort_drake.hands.model_files import check_values, find_package, read_model
 from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
 
 
@@ -69,7 +73,12 @@ def add_hand_model(
     for constraint in set(plant.GetConstraintIds()) - constraints:
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
+    for joint in _joints(plant, hand):
+        # Exporters write 0 for a speed that they do not know.
+        if joint.num_velocities() == 1 and not joint.velocity_upper_limits()[0] > 0:
+            joint.set_velocity_limits([-np.inf], [np.inf])
     _add_base(plant, hand, description, source)
+    _add_drawn_collisions(plant, hand, description, source)
     _set_default_positions(plant, hand, description, source)
     couplings = description.followers
     moving = {*description.joint_names, *(coupling.joint for coupling in couplings)}
@@ -99,23 +108,19 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
     """
     tree = read_model(path)
     parser = Parser(plant)
+    if tree.tag == "mujoco":
+        return add_mjcf(plant, parser.scene_graph(), path)
+    check_values(tree, source)
     parser.SetAutoRenaming(True)  # several hands of one model
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
     for name in set(re.findall(r"package://([^/\"'<]+)/", ET.tostring(tree, encoding="unicode"))):
-        if not packages.Contains(name) and (folder := resolve_reference(path, f"package://{name}")).is_dir():
-            packages.Add(name, str(folder))
+        if not packages.Contains(name):
+            packages.Add(name, str(find_package(path, name)))
     try:
-        if tree.tag == "mujoco":
-            (hand,) = parser.AddModelsFromString(ET.tostring(tree, encoding="unicode"), "xml")
-        else:
-            (hand,) = add_models(parser, path)
+        (hand,) = add_models(parser, path)
     except (RuntimeError, ValueError, SystemExit) as error:  # failed assertions in Drake exit
-        reason = str(error).removeprefix("<literal-string>.urdf:")  # MJCF is parsed as a text
-        raise HandError(f"{source}: not a single readable model: {reason}") from error
-    scene_graph = parser.scene_graph()
-    inspector = scene_graph.model_inspector() if scene_graph is not None else None
-    check_model_values(model_files(plant, inspector, hand, path), source)
+        raise HandError(f"{source}: not a single readable model: {error}") from error
     return hand
 
 
@@ -195,6 +200,23 @@ def _add_base(
         )
     X = RigidTransform(RollPitchYaw(np.deg2rad(base.rpy_deg)), base.translation)
     plant.AddFrame(FixedOffsetFrame(description.base_frame, frame, X, hand))
+
+
+def _add_drawn_collisions(
+    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
+) -> None:
+    """Gives the links of `collide_as_drawn` their visual geometry as collision geometry."""
+    names = [plant.get_body(index).name() for index in plant.GetBodyIndices(hand)]
+    for name in description.collide_as_drawn:
+        require_name(source, "collide_as_drawn", "link", name, names)
+        link, inspector = plant.GetBodyByName(name, hand), Parser(plant).scene_graph().model_inspector()
+        frame = plant.GetBodyFrameIdOrThrow(link.index())
+        for number, id in enumerate(inspector.GetGeometries(frame, Role.kIllustration)):
+            shape, X_LG = inspector.GetShape(id), inspector.GetPoseInFrame(id)
+            if isinstance(shape, Mesh):
+                shape = Convex(shape.source(), shape.scale3())
+            geometry = f"{name}_drawn_{number}"
+            plant.RegisterCollisionGeometry(link, X_LG, shape, geometry, CoulombFriction(1.0, 1.0))
 
 
 def _set_default_positions(

@@ -113,13 +113,15 @@ def _corrections(
     context = hand.contact_context()
     kinematics, coupling = hand.kinematics().uncoupled()
     a, b = shapes.pairs.T
-    for row, q in enumerate(hand.sample(POSTURES)):
+    samples = hand.sample(POSTURES)
+    X_BJ = kinematics.joint_poses(samples @ coupling.T)
+    X_BJ = np.concatenate([X_BJ, np.tile(np.eye(4), (POSTURES, 1, 1, 1))], axis=1)  # −1 is the base
+    for row, q in enumerate(samples):
         for found in hand.query(q, context).ComputeSignedDistancePairwiseClosestPoints(FAR):
             number = columns.get(frozenset((found.id_A, found.id_B)))
             if number is not None:
                 distances[row, number] = min(found.distance, FAR)
-        X_BJ = np.concatenate([kinematics.joint_poses(coupling @ q), np.eye(4)[None]])  # −1 is the base
-        X_BS = X_BJ[shapes.joint] @ shapes.X_JS
+        X_BS = X_BJ[row, shapes.joint] @ shapes.X_JS
         gap = _box_gap(X_BS[a], X_BS[b], shapes.half[a], shapes.half[b]) - (
             shapes.radius[a] + shapes.radius[b]
         )

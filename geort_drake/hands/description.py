@@ -104,6 +104,8 @@ class HandDescription:
     default_positions: dict[str, float] = dc.field(default_factory=dict)
     # Joints that follow others; fingers do not list them.
     couplings: list[CouplingDescription] = dc.field(default_factory=list)
+    # Links without collision geometry that collide as they are drawn, a mesh as its convex hull.
+    collide_as_drawn: list[str] = dc.field(default_factory=list)
     # Pairs of links whose contacts are ignored, because they touch in every posture.
     ignored_collisions: list[list[str]] = dc.field(default_factory=list)
     actuation: ActuationDescription = dc.field(default_factory=ActuationDescription)
@@ -185,7 +187,7 @@ class HandDescription:
                 (np.isfinite(ratio) and ratio != 0, ".ratio", "finite and not 0", ratio),
                 (np.isfinite(coupling.offset), ".offset", "finite", coupling.offset),
             ):
-                self._require(good, f"couplings[{number}]{field}", expected, given)
+                self._require(good, f"couplings[{number}]{field} of '{joint}'", expected, given)
         resolved_couplings(self.couplings)
 
     def _require(self, condition: object, field: str, expected: str, given: object) -> None:
@@ -256,7 +258,7 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
     elif Path(text).suffix in (".yaml", ".yml") or os.sep in text:
         path = Path(text)
     elif Path(text).is_file():
-        raise HandError(f"{text}: a hand is described in .yaml; geort-drake add-hand describes a model")
+        raise HandError(f"{text}: a hand is described in .yaml; geort-drake hand add describes a model")
     else:
         raise UnknownNameError("hand", text, hand_names())
     if not path.is_file():

@@ -250,7 +250,7 @@ def _digest(description: HandDescription, model_sha256: str) -> str:
     facts = dc.asdict(description) | {"model": model_sha256}
     del facts["mount"], facts["actuation"]
     # A field that is not used does not count.
-    for name in ("base_pose", "couplings", "ignored_collisions"):
+    for name in ("base_pose", "couplings", "collide_as_drawn", "ignored_collisions"):
         if getattr(description, name) == getattr(HandDescription(), name):
             del facts[name]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()

@@ -77,20 +77,20 @@ class HandKinematics:
         return torch_kinematics.fingertips(self, q)
 
     def joint_poses(self, q: np.ndarray) -> np.ndarray:
-        """Returns (n, 4, 4) poses X_BJ, m, of the joints' moving frames at joint angles q (n,), rad.
+        """Returns (N, n, 4, 4) poses X_BJ, m, of the joints' moving frames at joint angles q (N, n), rad.
 
         Of a hand without couplings, see `uncoupled`.
         """
         from scipy.spatial.transform import Rotation  # online retargeting works without SciPy
 
-        X_BJ = np.empty((len(self.joint_names), 4, 4))
+        X_BJ = np.empty((*q.shape, 4, 4))
         for finger in self.fingers:
             X = np.eye(4)
             for joint, X_PJ, axis in zip(finger.joint_indices, finger.X_PJ, finger.axes, strict=True):
-                turn = np.eye(4)
-                turn[:3, :3] = Rotation.from_rotvec(q[joint] * axis).as_matrix()
+                turn = np.tile(np.eye(4), (len(q), 1, 1))
+                turn[:, :3, :3] = Rotation.from_rotvec(q[:, joint, None] * axis).as_matrix()
                 X = X @ X_PJ @ turn
-                X_BJ[joint] = X
+                X_BJ[:, joint] = X
         return X_BJ
 
     def mirrored(self) -> "HandKinematics":

@@ -1,121 +1,393 @@
-"""Rewrites MJCF so that Drake 1.51 reads the same model as MuJoCo."""
+"""Reads MJCF as MuJoCo compiles it, and builds the same model in a Drake plant.
 
-import copy
-import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+In MuJoCo's compiled model, defaults, includes, frames, units and references are resolved, and meshes are
+read. Drake 1.51 resolves only some of these.
+"""
 
-_POSE = ("pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")  # of a body
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.common.eigen_geometry import AngleAxis, Quaternion
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    CollisionFilterDeclaration,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    GeometryId,
+    GeometrySet,
+    InMemoryMesh,
+    Mesh,
+    SceneGraph,
+    Shape,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import (
+    BallRpyJoint,
+    FixedOffsetFrame,
+    Frame,
+    ModelInstanceIndex,
+    PdControllerGains,
+    PrismaticJoint,
+    RevoluteJoint,
+    RigidBody,
+    RotationalInertia,
+    SpatialInertia,
+    WeldJoint,
+)
+
+from geort_drake.errors import HandError, listed
+from geort_drake.hands.description import CouplingDescription
+
+if TYPE_CHECKING:
+    import mujoco
+
+# The name of MuJoCo's world as a link of the hand.
+WORLD = "worldbody"
+# A tendon couples its joints if its range leaves them at most this much play to either side, rad.
+_MAX_PLAY = 0.2
+# MuJoCo's constants mjtJoint, mjtGeom, mjtEq, mjtTrn, mjtWrap.
+_FREE, _BALL, _SLIDE, _HINGE = range(4)
+_PLANE, _HFIELD, _SPHERE, _CAPSULE, _ELLIPSOID, _CYLINDER, _BOX, _MESH = range(8)
+_EQ_CONNECT, _EQ_WELD, _EQ_JOINT, _EQ_TENDON = range(4)
+_TRN_JOINT, _TRN_JOINT_IN_PARENT, _TRN_SLIDER_CRANK, _TRN_TENDON = range(4)
+_WRAP_JOINT = 1
+# Geoms of higher groups are not drawn.
+_LAST_VISIBLE_GROUP = 2
 
 
-def rewrite_for_drake(tree: ET.Element) -> None:
-    """Rewrites a model, without includes, in place.
+def compile_mjcf(path: Path) -> "tuple[mujoco.MjModel, list[Path]]":
+    """Compiles a model; returns it, and the mesh files that it uses.
 
-    Default classes become complete: Drake inherits an element's settings only if the inner class has such an
-    element itself. Otherwise joints, geoms and actuators lose their axes, limits, sizes and gains. Servos,
-    frames and bodies with several joints become what Drake reads. What is fixed beside the hand, such as a
-    floor or a table, is left out.
+    Raises:
+        HandError: the model is invalid.
+        ModuleNotFoundError: MuJoCo is not installed.
     """
-    _merge_defaults(tree)
-    for outer in tree.iter("default"):  # outer classes come first
-        for inner in outer.findall("default"):
-            _inherit(inner, outer)
-    _rewrite_servos(tree)
-    for inertial in tree.iter("inertial"):
-        if not inertial.get("mass", "1").strip("0. "):  # of a fixed body; Drake 1.51 would fail
-            inertial.attrib = {"pos": "0 0 0", "mass": "1e-9", "diaginertia": "1e-15 1e-15 1e-15"}
-    for number, frame in enumerate(tree.findall("worldbody//frame")):  # Drake 1.51 ignores them
-        frame.tag = "body"
-        frame.set("name", frame.get("name") or f"frame_{number}")
-    if tree.find("worldbody//joint") is not None:
-        _remove_surroundings(tree)
-    _separate_joints(tree)
+    import mujoco  # an extra
 
-
-def _merge_defaults(tree: ET.Element) -> None:
-    """Merges the top-level default classes, of which Drake 1.51 regards the last alone."""
-    defaults = tree.findall("default")
-    for default in defaults[1:]:
-        tree.remove(default)
-        for settings in default:
-            own = defaults[0].find(settings.tag)
-            if settings.tag == "default" or own is None:
-                defaults[0].append(settings)
-            else:
-                own.attrib |= settings.attrib
-
-
-def _remove_surroundings(tree: ET.Element) -> None:
-    """Removes geoms and bodies beside the hand that cannot move, and what refers to these bodies."""
-    gone: set[str] = set()
-    for world in tree.iter("worldbody"):
-        for part in [*world.findall("geom"), *world.findall("body")]:
-            if not {inner.tag for inner in part.iter()} & {"joint", "freejoint"}:
-                world.remove(part)
-                gone |= {body.get("name", "") for body in part.iter("body")}
-    for section in (*tree.findall("contact"), *tree.findall("equality")):
-        for entry in list(section):
-            if gone & {entry.get("body1"), entry.get("body2")}:
-                section.remove(entry)
-
-
-def _separate_joints(tree: ET.Element) -> None:
-    """Gives each joint a body of its own.
-
-    Drake 1.51 puts all joints of a body but the last one at the origin of the body's parent.
-    """
-    parents = {child: parent for parent in tree.iter() for child in parent}
-    for body in [body for body in tree.iter("body") if len(body.findall("joint")) > 1]:
-        parent, name = parents[body], body.get("name", "body")
-        place = list(parent).index(body)
-        parent.remove(body)
-        pose = {key: body.attrib.pop(key) for key in _POSE if key in body.attrib}
-        if parent.get("name") and body.get("name"):  # MuJoCo ignores contacts of neighbouring bodies
-            contact = ET.SubElement(tree, "contact")
-            ET.SubElement(contact, "exclude", body1=parent.get("name", ""), body2=name)
-        for number, joint in enumerate(body.findall("joint")[:-1]):
-            body.remove(joint)
-            outer = ET.Element("body", {**body.attrib, **pose, "name": f"{name}_{number}"})
-            outer.append(joint)
-            parent.insert(place, outer)
-            parent, place, pose = outer, 1, {}
-        parent.append(body)
-
-
-def _inherit(inner: ET.Element, outer: ET.Element) -> None:
-    """Adds to a default class the settings that it lacks of the class around it."""
-    for settings in outer:
-        own = inner.find(settings.tag)
-        if settings.tag != "default" and own is None:
-            inner.append(copy.deepcopy(settings))
-        elif settings.tag != "default" and own is not None:
-            own.attrib = {**settings.attrib, **own.attrib}
-
-
-def _rewrite_servos(tree: ET.Element) -> None:
-    """Turns general actuators that are position servos into `position`, and removes ranges of their inputs.
-
-    Drake 1.51 ignores `general`, and takes the range of a servo's input, rad, for its largest torque.
-    """
-    classes = {default.get("class", "main"): default for default in tree.iter("default")}
-    for servo in (*tree.iterfind("actuator/general"), *tree.iterfind("actuator/position")):
-        inherited = classes.get(servo.get("class", "main"), tree).find(servo.tag)
-        given = {**({} if inherited is None else inherited.attrib), **servo.attrib}
-        kp = given.get("kp", "1")
-        if servo.tag == "general":
-            kp = _servo_gain(given)
-            if not kp:
-                continue
-        servo.tag = "position"
-        kept = ("name", "class", "joint", "tendon", "gear", "forcerange", "forcelimited")
-        servo.attrib = {name: given[name] for name in kept if name in given}
-        servo.attrib |= {"kp": kp, "ctrllimited": "false"}
-
-
-def _servo_gain(general: Mapping[str, str]) -> str:
-    """Returns the gain of a general actuator with force gain · (input − position); "" for any other."""
-    gain, bias = (general.get(name, "").split() for name in ("gainprm", "biasprm"))
     try:
-        is_servo = general.get("biastype") == "affine" and float(bias[1]) == -float(gain[0])
-    except (ValueError, IndexError):
-        return ""
-    return gain[0] if is_servo else ""
+        if path.suffix == ".xml":
+            spec = mujoco.MjSpec.from_file(str(path))
+        else:  # MuJoCo knows files by this suffix alone
+            spec = mujoco.MjSpec.from_string(path.read_text(encoding="utf-8"))
+            spec.modelfiledir = str(path.resolve().parent)
+        model = spec.compile()
+    except ValueError as error:
+        raise HandError(f"model {path}: {error}") from error
+    folder = path.resolve().parent / spec.meshdir
+    return model, [folder / mesh.file for mesh in spec.meshes if mesh.file]
+
+
+def add_mjcf(plant: MultibodyPlant, scene_graph: SceneGraph | None, path: Path) -> ModelInstanceIndex:
+    """Adds a model to a plant; its joints start at MuJoCo's reference positions.
+
+    The bodies below MuJoCo's world are not attached to Drake's. If joints connect them to the world, it
+    becomes the link `WORLD`, with its geoms if it carries several. What is fixed beside the hand, such as a
+    floor or a table, is left out. Friction losses and springs are ignored.
+
+    Raises:
+        HandError: as `compile_mjcf`, or Drake cannot represent the model.
+    """
+    model, _ = compile_mjcf(path)
+    name = base = path.stem
+    number = 1
+    while plant.HasModelInstanceNamed(name):
+        number += 1
+        name = f"{base}_{number}"
+    return _Builder(plant, scene_graph, model, plant.AddModelInstance(name)).build()
+
+
+class _Builder:
+    """Adds a compiled model `m` to a plant."""
+
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        scene_graph: SceneGraph | None,
+        m: "mujoco.MjModel",
+        instance: ModelInstanceIndex,
+    ):
+        self._plant, self._scene_graph, self._m, self._instance = plant, scene_graph, m, instance
+        self._links: dict[int, RigidBody] = {}
+        self._geometry: dict[int, GeometryId] = {}  # number of a geom → its collision geometry
+
+    def build(self) -> ModelInstanceIndex:
+        m, moving = self._m, self._m.body_weldid != 0
+        if not moving.any():
+            moving[1:] = True
+        # Of each tree, the child of the world.
+        trees = [body for body in range(1, m.nbody) if m.body_parentid[body] == 0]
+        jointed = [body for body in trees if self._joints_of(body)]
+        if jointed:
+            self._links[0] = self._add_body(WORLD, 0)
+        for body in range(1, m.nbody):
+            tree = m.body_rootid[body]
+            if moving[m.body_rootid == tree].any():
+                self._add_link(body)
+        if self._scene_graph is not None:
+            for geom in range(m.ngeom):
+                body = m.geom_bodyid[geom]
+                if body in self._links and (body > 0 or len(jointed) > 1):
+                    self._add_geom(geom)
+            self._filter_collisions(self._scene_graph)
+        self._add_actuators()
+        return self._instance
+
+    def _joints_of(self, body: int) -> list[int]:
+        """Returns the numbers of a body's joints, except a free one."""
+        first, count = self._m.body_jntadr[body], self._m.body_jntnum[body]
+        return [j for j in range(first, first + count) if self._m.jnt_type[j] != _FREE]
+
+    def _add_body(self, name: str, body: int | None) -> RigidBody:
+        inertia = SpatialInertia.Zero()
+        m = self._m
+        if body is not None and m.body_mass[body] > 0:
+            R = RotationMatrix(Quaternion(m.body_iquat[body])).matrix()
+            I = R @ np.diag(m.body_inertia[body]) @ R.T  # noqa: E741  (the usual symbol)
+            moments = RotationalInertia(I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
+            inertia = SpatialInertia.MakeFromCentralInertia(m.body_mass[body], m.body_ipos[body], moments)
+        return self._plant.AddRigidBody(name, self._instance, inertia)
+
+    def _add_link(self, body: int) -> None:
+        """Adds a body with its joints; all but the last joint of a body move links without mass."""
+        m = self._m
+        name, parent = self._name("body", body), int(m.body_parentid[body])
+        self._links[body] = link = self._add_body(name, body)
+        if parent not in self._links:
+            return  # on the world
+        above = self._links[parent].body_frame()
+        X = RigidTransform(Quaternion(m.body_quat[body]), m.body_pos[body])
+        joints = self._joints_of(body)
+        if not joints:
+            if parent:
+                self._plant.AddJoint(WeldJoint(f"{name}_weld", above, link.body_frame(), X))
+            return
+        for joint in joints:
+            below = link
+            if joint != joints[-1]:
+                below = self._add_body(f"{name}_{self._name('joint', joint)}", None)
+            self._add_joint(joint, above, X, below)
+            above, X = below.body_frame(), RigidTransform()
+
+    def _add_joint(self, joint: int, above: Frame, X: RigidTransform, link: RigidBody) -> None:
+        """Adds a joint; X is the link's pose in the frame above at the joint's reference position."""
+        m, plant, name = self._m, self._plant, self._name("joint", joint)
+        axis, kind, start = m.jnt_axis[joint], m.jnt_type[joint], m.qpos0[m.jnt_qposadr[joint]]
+        X_LM = RigidTransform(m.jnt_pos[joint])
+        zero = RigidTransform()
+        if kind == _HINGE:
+            zero = RigidTransform(AngleAxis(-start, axis), np.zeros(3))
+        elif kind == _SLIDE:
+            zero = RigidTransform(-start * axis)
+        F = plant.AddFrame(FixedOffsetFrame(f"{name}_on_parent", above, X @ X_LM @ zero, self._instance))
+        M = plant.AddFrame(FixedOffsetFrame(f"{name}_on_child", link.body_frame(), X_LM, self._instance))
+        if kind == _BALL:
+            plant.AddJoint(BallRpyJoint(name, F, M))
+            return
+        low, high = m.jnt_range[joint] if m.jnt_limited[joint] else (-np.inf, np.inf)
+        damping = m.dof_damping[m.jnt_dofadr[joint]]
+        Axial = RevoluteJoint if kind == _HINGE else PrismaticJoint
+        added = plant.AddJoint(Axial(name, F, M, axis, low, high, damping))
+        added.set_default_positions([start])
+
+    def _add_geom(self, geom: int) -> None:
+        m, link = self._m, self._links[int(self._m.geom_bodyid[geom])]
+        shape = self._shape(geom)
+        if shape is None:
+            return
+        name = self._name("geom", geom)
+        X = RigidTransform(Quaternion(m.geom_quat[geom]), m.geom_pos[geom])
+        if m.geom_group[geom] <= _LAST_VISIBLE_GROUP:
+            self._plant.RegisterVisualGeometry(link, X, shape, f"{name}_visual", m.geom_rgba[geom])
+        if m.geom_contype[geom] or m.geom_conaffinity[geom]:
+            if isinstance(shape, Mesh):
+                shape = self._hull(geom)
+            friction = m.geom_friction[geom][0]
+            self._geometry[geom] = self._plant.RegisterCollisionGeometry(
+                link, X, shape, name, CoulombFriction(friction, friction)
+            )
+
+    def _shape(self, geom: int) -> Shape | None:
+        """Returns a geom's shape; None for planes and height fields."""
+        m, size = self._m, self._m.geom_size[geom]
+        kind = m.geom_type[geom]
+        if kind == _SPHERE:
+            return Sphere(size[0])
+        if kind == _CAPSULE:
+            return Capsule(size[0], 2 * size[1])
+        if kind == _ELLIPSOID:
+            return Ellipsoid(*size)
+        if kind == _CYLINDER:
+            return Cylinder(size[0], 2 * size[1])
+        if kind == _BOX:
+            return Box(*(2 * size))
+        if kind != _MESH:
+            return None
+        mesh = m.geom_dataid[geom]
+        first, count = m.mesh_vertadr[mesh], m.mesh_vertnum[mesh]
+        vertices = m.mesh_vert[first : first + count]
+        first, count = m.mesh_faceadr[mesh], m.mesh_facenum[mesh]
+        faces = m.mesh_face[first : first + count] + 1
+        text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices)
+        text += "".join(f"f {a} {b} {c}\n" for a, b, c in faces)
+        return Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", m.mesh(mesh).name)))
+
+    def _hull(self, geom: int) -> Convex:
+        """Returns the convex hull of a mesh, which MuJoCo has computed."""
+        m, mesh = self._m, self._m.geom_dataid[geom]
+        start = m.mesh_graphadr[mesh]
+        count = m.mesh_graph[start]  # then the number of faces, the vertices' edges, and the vertices
+        rows = m.mesh_graph[start + 2 + count : start + 2 + 2 * count]
+        vertices = m.mesh_vert[m.mesh_vertadr[mesh] + rows]
+        text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices)
+        return Convex(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", m.mesh(mesh).name)))
+
+    def _filter_collisions(self, scene_graph: SceneGraph) -> None:
+        """Filters the pairs that MuJoCo does not check: by masks, excluded bodies, and neighbours."""
+        m, filters = self._m, CollisionFilterDeclaration()
+        geoms = np.array([*self._geometry], dtype=int)
+        contype, conaffinity, body = m.geom_contype[geoms], m.geom_conaffinity[geoms], m.geom_bodyid[geoms]
+        masked = (contype[:, None] & conaffinity) | (contype & conaffinity[:, None]) == 0
+        group = m.body_weldid[body]  # the first of the bodies that are welded together
+        above = m.body_weldid[m.body_parentid[group]]
+        neighbours = (group[:, None] == group) | (above[:, None] == group) | (above == group[:, None])
+        excluded = np.isin((body[:, None] << 16) + body, m.exclude_signature)
+        for first, second in np.argwhere(masked | neighbours | excluded | excluded.T):
+            if first < second:
+                pair = (GeometrySet(self._geometry[geoms[number]]) for number in (first, second))
+                filters.ExcludeBetween(*pair)
+        scene_graph.collision_filter_manager().Apply(filters)
+
+    def _add_actuators(self) -> None:
+        """Adds the joints' motors; position servos, of force gain · (input − position), get gains."""
+        m, driven = self._m, set()
+        for motor in range(m.nu):
+            joint = int(m.actuator_trnid[motor][0])
+            if m.actuator_trntype[motor] not in (_TRN_JOINT, _TRN_JOINT_IN_PARENT) or joint in driven:
+                continue
+            name = self._name("joint", joint)
+            if m.jnt_type[joint] not in (_HINGE, _SLIDE) or not self._plant.HasJointNamed(
+                name, self._instance
+            ):
+                continue
+            driven.add(joint)
+            gear, gain, bias = m.actuator_gear[motor][0], m.actuator_gainprm[motor], m.actuator_biasprm[motor]
+            servo = gain[0] > 0 and bias[1] == -gain[0]
+            limit = np.inf
+            if m.actuator_forcelimited[motor]:
+                limit = abs(gear) * m.actuator_forcerange[motor].max()
+            elif m.actuator_ctrllimited[motor] and not servo:
+                limit = abs(gear * gain[0]) * m.actuator_ctrlrange[motor].max()
+            if m.jnt_actfrclimited[joint]:
+                limit = min(limit, m.jnt_actfrcrange[joint].max())
+            if not limit > 0:
+                continue
+            added = self._plant.AddJointActuator(
+                self._name("actuator", motor), self._plant.GetJointByName(name, self._instance), limit
+            )
+            # MuJoCo's armature belongs to the joint.
+            added.set_default_rotor_inertia(m.dof_armature[m.jnt_dofadr[joint]])
+            if servo:
+                added.set_controller_gains(PdControllerGains(p=gear**2 * gain[0], d=-(gear**2) * bias[2]))
+
+    def _name(self, kind: str, number: int) -> str:
+        return name_of(self._m, kind, number)
+
+
+def name_of(m: "mujoco.MjModel", kind: str, number: int) -> str:
+    """Returns the name of a body, joint, geom, tendon or actuator, or one made from its number."""
+    return getattr(m, kind)(number).name or f"{kind}_{number}"
+
+
+def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str]]:
+    """Reads couplings by equalities and fixed tendons; returns them, and notes on guesses and omissions.
+
+    MuJoCo's equalities relate deviations from the joints' reference positions, or from the tendon's length in
+    these. A fixed tendon of two joints couples them if an equality fixes its length, if its range leaves
+    little play, or if a motor pulls it and none moves either joint. In the last case, both joints are assumed
+    to be equally stiff, so they turn in proportion to their coefficients. The joint without a motor follows,
+    else the outer one.
+
+    Raises:
+        HandError: as `compile_mjcf`, or a coupling is not linear.
+    """
+    m, _ = compile_mjcf(path)
+    couplings: dict[str, CouplingDescription] = {}
+    notes: list[str] = []
+    equal: list[set[int]] = []
+    lengths: dict[int, float] = {}  # of tendons that an equality fixes
+    for number in np.flatnonzero(m.eq_active0):
+        kind, first, second = m.eq_type[number], int(m.eq_obj1id[number]), int(m.eq_obj2id[number])
+        constant, ratio, *higher = m.eq_data[number][:5]
+        if kind == _EQ_JOINT and second >= 0:
+            follower, followed = name_of(m, "joint", first), name_of(m, "joint", second)
+            if any(higher):
+                raise HandError(
+                    f"{path}: joint '{follower}' follows '{followed}' by a polynomial; expected two "
+                    f"coefficients, given: {m.eq_data[number][:5]}"
+                )
+            start, leader_start = m.qpos0[m.jnt_qposadr[[first, second]]]
+            offset = start + constant - ratio * leader_start
+            couplings[follower] = CouplingDescription(follower, followed, float(ratio), float(offset))
+            equal.append({first, second})
+        elif kind == _EQ_TENDON and second < 0:
+            lengths[first] = float(m.tendon_length0[first] + constant)
+        elif kind in (_EQ_CONNECT, _EQ_WELD) and 0 not in (first, second):
+            which = "site" if m.eq_objtype[number] == 6 else "body"
+            ends = [f"'{name_of(m, which, end)}'" for end in (first, second)]
+            notes.append(f"the closed loop at {' and '.join(ends)} is ignored: a hand must be a tree")
+    driven = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_JOINT, _TRN_JOINT_IN_PARENT)}
+    pulled = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_TENDON)}
+    ignored = []
+    for tendon in range(m.ntendon):
+        coefficients = _fixed_tendon(m, tendon)
+        coupling = None
+        if len(coefficients) == 2 and {*coefficients} not in equal:
+            leader, joint = sorted(coefficients)
+            if leader not in driven and joint in driven:
+                leader, joint = joint, leader
+            own, other = coefficients[joint], coefficients[leader]
+            length = lengths.get(tendon, _narrow_length(m, tendon, min(abs(own), abs(other))))
+            names = name_of(m, "joint", joint), name_of(m, "joint", leader)
+            if length is not None:
+                coupling = CouplingDescription(*names, -other / own, length / own)
+            elif tendon in pulled and not {joint, leader} & driven:
+                coupling = CouplingDescription(*names, own / other, 0.0)
+                notes.append(
+                    f"one motor pulls '{names[1]}' and '{names[0]}'; assuming equal stiffness, '{names[0]}' "
+                    f"follows by {coupling.ratio:g}"
+                )
+        if coupling is not None:
+            couplings.setdefault(coupling.joint, coupling)
+        elif tendon in pulled and {*coefficients} not in equal:
+            ignored.append(f"'{name_of(m, 'tendon', tendon)}'")
+    if ignored:
+        notes.append(
+            f"tendons that motors pull are ignored, their joints move independently: {listed(ignored)}"
+        )
+    return list(couplings.values()), notes
+
+
+def _motors(m: "mujoco.MjModel", *transmissions: int) -> Iterator[int]:
+    return (motor for motor in range(m.nu) if m.actuator_trntype[motor] in transmissions)
+
+
+def _fixed_tendon(m: "mujoco.MjModel", tendon: int) -> dict[int, float]:
+    """Maps the joints of a fixed tendon to their coefficients; empty for a spatial tendon."""
+    parts = range(m.tendon_adr[tendon], m.tendon_adr[tendon] + m.tendon_num[tendon])
+    if any(m.wrap_type[part] != _WRAP_JOINT for part in parts):
+        return {}
+    return {int(m.wrap_objid[part]): float(m.wrap_prm[part]) for part in parts if m.wrap_prm[part] != 0}
+
+
+def _narrow_length(m: "mujoco.MjModel", tendon: int, coefficient: float) -> float | None:
+    """Returns the middle of a tendon's range if the range leaves its joints little play, else None."""
+    low, high = m.tendon_range[tendon]
+    narrow = m.tendon_limited[tendon] and 0.5 * (high - low) / coefficient <= _MAX_PLAY
+    return float(0.5 * (low + high)) if narrow else None

@@ -1,51 +1,32 @@
-"""Reads the files of a hand's model, finds its meshes and includes, and checks their values."""
+"""Reads the files of a hand's model: its XML, meshes, includes and couplings; and checks its values."""
 
 import hashlib
-import math
 import re
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
+import numpy as np
 from pydrake.geometry import Convex, Mesh, SceneGraphInspector
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from geort_drake.errors import HandError
 from geort_drake.files import sha256_of
-from geort_drake.hands.mjcf import rewrite_for_drake
+from geort_drake.hands.description import CouplingDescription
+from geort_drake.hands.mjcf import compile_mjcf, read_mjcf_couplings
 
 _PRODUCTS_OF_INERTIA = ("ixy", "ixz", "iyz")
 _INERTIA = ("mass", "ixx", "iyy", "izz", *_PRODUCTS_OF_INERTIA)
-# A vertex line of an OBJ file that does not begin with three finite numbers.
-_NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE](?:-\d+|\+?0*\d{1,2}))?"
-_BAD_VERTEX = re.compile(
-    rb"^[ \t]*v[ \t](?![ \t]*" + rb"[ \t]+".join([_NUMBER] * 3) + rb"(?:\s|#|$)).*", re.M
-)
 
 
 def read_model(path: Path) -> ET.Element:
-    """Reads the XML of a URDF, SDF or MJCF file.
-
-    MJCF is returned with its includes, absolute mesh paths and the changes of `rewrite_for_drake`.
+    """Reads the XML of a URDF, SDF or MJCF file; that of MJCF is only for telling what it is.
 
     Raises:
-        HandError: the file or an included one is missing or not XML; or it has macros, or
-            is only a part of an MJCF model.
+        HandError: the file is missing or not XML, has macros, or is only a part of an MJCF model.
     """
-    tree = _parsed(path, path)
-    if tree.tag == "mujocoinclude":
-        raise HandError(f"{path} is a part of an MJCF model; give the file that includes it")
-    if tree.tag == "mujoco":
-        tree.set("model", tree.get("model") or path.stem)  # Drake requires a name
-        for element, mesh in mesh_elements(path, tree):
-            set_mesh(element, mesh)
-        rewrite_for_drake(tree)
-    return tree
-
-
-def _parsed(path: Path, main: Path) -> ET.Element:
-    """Parses the XML of a file, and of those that MJCF includes; `main` is the outermost file."""
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
     text = path.read_text(encoding="utf-8", errors="replace")
@@ -58,60 +39,50 @@ def _parsed(path: Path, main: Path) -> ET.Element:
         raise HandError(f"{path}: not XML: {error}; expected a URDF, SDF or MJCF file") from error
     if any("xacro" in element.tag for element in tree.iter()):
         raise HandError(f"{path} contains macros; expand them first: xacro {path.name} > hand.urdf")
-    if tree.tag.startswith("mujoco"):
-        for parent in list(tree.iter()):
-            for include in parent.findall("include"):
-                place = list(parent).index(include)
-                file = _included(include.get("file", ""), path, main)
-                if not file.is_file():
-                    raise HandError(f"{path} includes {file}, which is missing")
-                parent[place : place + 1] = list(_parsed(file, main))
+    if tree.tag == "mujocoinclude":
+        raise HandError(f"{path} is a part of an MJCF model; give the file that includes it")
     return tree
 
 
-def _included(name: str, path: Path, main: Path) -> Path:
-    """Returns a file that `path` includes; as in MuJoCo, its name is first relative to the outermost file."""
-    file = resolve_reference(main, name)
-    return file if file.exists() else resolve_reference(path, name)
-
-
 def mesh_elements(model: Path, tree: ET.Element) -> list[tuple[ET.Element, Path]]:
-    """Returns the elements of a model that name a mesh file, with these files."""
-    if tree.tag == "mujoco":
-        folder = model.resolve().parent
-        folders = [compiler.get("meshdir") or compiler.get("assetdir") for compiler in tree.iter("compiler")]
-        folder /= next(filter(None, reversed(folders)), "")  # the last one counts
-        meshes = [(mesh, mesh.get("file")) for mesh in tree.iterfind(".//asset/mesh")]
-        return [(mesh, (folder / name).resolve()) for mesh, name in meshes if name]
+    """Returns the elements of a URDF or SDF model that name a mesh file, with these files."""
     named = [(mesh, mesh.get("filename")) for mesh in tree.iter("mesh")]
     named += [(uri, (uri.text or "").strip()) for uri in tree.iterfind(".//mesh/uri")]
-    return [(element, resolve_reference(model, name)) for element, name in named if name]
-
-
-def set_mesh(element: ET.Element, mesh: Path) -> None:
-    """Sets the mesh file that an element of a model names, absolute or relative to the model."""
-    name = f"file://{mesh}" if mesh.is_absolute() else str(mesh)
-    if element.tag == "uri":
-        element.text = name
-    elif "filename" in element.attrib:
-        element.set("filename", name)
-    else:
-        # In MJCF, the default name of a mesh is the stem of its file.
-        element.set("name", element.get("name") or Path(element.get("file", "")).stem)
-        element.set("file", str(mesh))
+    drakes = re.compile("(package|model)://drake(_models)?/")
+    return [(e, resolve_reference(model, name)) for e, name in named if name and not drakes.match(name)]
 
 
 def resolve_reference(model: Path, name: str) -> Path:
-    """Returns the file that a model names, relative to it or in a package in one of the folders above."""
-    folder = model.resolve().parent
+    """Returns the file that a model names, relative to it or in a package."""
     package = re.match(r"(?:package|model)://([^/]+)(?:/(.*))?$", name)
-    if package:
-        for parent in (folder, *folder.parents):
-            root = parent if parent.name == package[1] else parent / package[1]
-            if root.is_dir():
-                return (root / (package[2] or "")).resolve()
-        name = "/".join(part for part in package.groups() if part)  # where users may put it
-    return (folder / name.removeprefix("file://")).resolve()
+    if package is None:
+        return (model.resolve().parent / name.removeprefix("file://")).resolve()
+    return (find_package(model, package[1]) / (package[2] or "")).resolve()
+
+
+def find_package(model: Path, name: str) -> Path:
+    """Returns the folder of a package that a model names.
+
+    As in ROS, it is a folder above the model whose `package.xml` has that name; else a folder above it, or
+    beside one of these, that is called so.
+
+    Raises:
+        HandError: there is no such folder.
+    """
+    folders = [*model.resolve().parents]
+    for folder in folders:
+        file = folder / "package.xml"
+        if file.is_file() and re.search(rf"<name>\s*{re.escape(name)}\s*</name>", file.read_text("utf-8")):
+            return folder
+    for folder in folders:
+        if folder.name == name:
+            return folder
+        if (folder / name).is_dir():
+            return folder / name
+    raise HandError(
+        f"model {model}: the package '{name}' is in no folder above the model; the package's folder needs a "
+        f"package.xml with <name>{name}</name>, or this name itself"
+    )
 
 
 def model_files(
@@ -119,19 +90,23 @@ def model_files(
 ) -> list[Path]:
     """Returns a hand's model file, the files that it includes, and the meshes of its collision geometry.
 
+    Of an MJCF model, the meshes of its visual geometry as well.
+
     Args:
         plant: plant with the hand.
         inspector: inspector of the plant's scene graph; None for a plant without one, which gives no meshes.
         hand: model instance of the hand.
         model: SDF, URDF or MJCF file of the hand.
     """
-    shapes = []
-    if inspector is not None:
+    meshes: list[Path] = []
+    if read_model(model).tag == "mujoco":
+        meshes = compile_mjcf(model)[1]
+    elif inspector is not None:
         bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
         geometries = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
         shapes = [inspector.GetShape(id) for id in geometries]
-    sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
-    meshes = [Path(source.path()) for source in sources if source.is_path()]
+        sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
+        meshes = [Path(source.path()) for source in sources if source.is_path()]
     return list(dict.fromkeys([model, *_included_files(model, model), *meshes]))
 
 
@@ -148,37 +123,53 @@ def _included_files(model: Path, main: Path) -> list[Path]:
     names += re.findall(r"<include\b[^/]*?>.*?<uri>\s*(.*?)\s*</uri>", text, flags=re.DOTALL)
     found: list[Path] = []
     for name in names:
-        file = _included(name, model, main)
-        file = file / "model.sdf" if file.is_dir() else file
-        if file.is_file():
+        # As in MuJoCo, a name is first relative to the outermost file.
+        file = next((f for f in (resolve_reference(m, name) for m in (main, model)) if f.exists()), None)
+        file = file / "model.sdf" if file is not None and file.is_dir() else file
+        if file is not None and file.is_file():
             found += [file, *_included_files(file, main)]
     return found
 
 
-def check_model_values(files: Iterable[Path], source: str) -> None:
-    """Rejects values that Drake would replace silently or with a warning.
+def check_values(tree: ET.Element, source: str) -> None:
+    """Rejects what Drake would replace silently, or refuse without naming the place.
 
     Args:
-        files: files from `model_files`; only URDF, SDF and OBJ files are checked.
+        tree: the XML of a URDF or SDF file.
         source: beginning of error messages.
 
     Raises:
-        HandError: a mass or moment of inertia is negative or not finite, or a product of inertia or a vertex
-            is not finite.
+        HandError: two links or two joints have one name; limits are swapped; a joint follows another by a
+            factor of 0; a mass or moment of inertia is negative or not finite, or a product of inertia not
+            finite.
     """
-    for file in files:
-        if file.suffix.lower() in (".sdf", ".urdf"):
-            for link in read_model(file).iter("link"):
-                _check_inertia(link, f"of link '{link.get('name', '')}' in {file.name}", source)
-        elif file.suffix.lower() == ".obj" and (found := _BAD_VERTEX.search(file.read_bytes())):
-            line = found[0].decode(errors="replace").strip()
-            raise HandError(
-                f"{source}: {file}: every vertex must be three finite numbers; given: {line[:60]}"
-            )
+    for model in [tree, *tree.iter("model")]:
+        for kind in ("link", "joint"):
+            names = Counter(element.get("name", "") for element in model.findall(kind))
+            for name, count in names.items():
+                if count > 1:
+                    raise HandError(f"{source}: {count} {kind}s are called '{name}'; each needs its own name")
+        for link in model.findall("link"):
+            _check_inertia(link, source)
+        for joint in model.findall("joint"):
+            where = f"{source}: joint '{joint.get('name', '')}'"
+            for limit in joint.iter("limit"):
+                low, high = (_number(limit, end, 0.0, where) for end in ("lower", "upper"))
+                if low > high:
+                    raise HandError(
+                        f"{where} has its limits swapped: lower {low:g} is above upper {high:g} rad"
+                    )
+            for mimic in _mimics(joint):
+                if _number(mimic, "multiplier", 1.0, where) == 0:
+                    raise HandError(
+                        f"{where} follows '{mimic.get('joint')}' by a multiplier of 0, so it never moves: "
+                        "make it a fixed joint"
+                    )
 
 
-def _check_inertia(link: ET.Element, where: str, source: str) -> None:
+def _check_inertia(link: ET.Element, source: str) -> None:
     """Checks the inertia of a link; its numbers are attributes in URDF and texts in SDF."""
+    where = f"{source}: link '{link.get('name', '')}'"
     for element in link.iterfind("inertial//*"):
         for name, text in {**element.attrib, element.tag: element.get("value") or element.text}.items():
             if name not in _INERTIA:
@@ -187,6 +178,42 @@ def _check_inertia(link: ET.Element, where: str, source: str) -> None:
             try:
                 value = float(text or "nan")
             except ValueError:
-                value = math.nan
-            if not math.isfinite(value) or (value < 0 and name not in _PRODUCTS_OF_INERTIA):
-                raise HandError(f"{source}: {name} {where} must be {expected}; given: {text}")
+                value = np.nan
+            if not np.isfinite(value) or (value < 0 and name not in _PRODUCTS_OF_INERTIA):
+                raise HandError(f"{where}: {name} must be {expected}; given: {text}")
+
+
+def read_couplings(path: Path) -> tuple[list[CouplingDescription], list[str]]:
+    """Reads a model's linear couplings; returns them, and notes on guesses and omissions.
+
+    Drake applies URDF's `mimic` and SDF's `drake:mimic` without giving access to them. For MJCF, see
+    `read_mjcf_couplings`.
+
+    Raises:
+        HandError: the file is not XML, a number is malformed, or a coupling is not linear.
+    """
+    tree = read_model(path)
+    if tree.tag == "mujoco":
+        return read_mjcf_couplings(path)
+    couplings = []
+    for joint in tree.iter("joint"):
+        for mimic in _mimics(joint):
+            where = f"{path}: joint '{joint.get('name', '')}'"
+            ratio = _number(mimic, "multiplier", 1.0, where)
+            offset = _number(mimic, "offset", 0.0, where) - ratio * _number(mimic, "reference", 0.0, where)
+            leader = mimic.get("joint", "")
+            couplings.append(CouplingDescription(joint.get("name", ""), leader, ratio, offset))
+    return couplings, []
+
+
+def _mimics(joint: ET.Element) -> list[ET.Element]:
+    return [element for element in joint.iter() if re.fullmatch(r"(\{.*\})?mimic", element.tag)]
+
+
+def _number(element: ET.Element, name: str, default: float, where: str) -> float:
+    """Returns a number from an attribute (URDF) or an inner element (SDF)."""
+    text = element.get(name) or element.findtext(name) or str(default)
+    try:
+        return float(text)
+    except ValueError as error:
+        raise HandError(f"{where}: {name} must be a number; given: {text}") from error

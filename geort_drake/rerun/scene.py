@@ -140,7 +140,7 @@ def write_robot_hand(
     for row, positions in zip(rows, q, strict=True):
         hand.query(positions, root)
         poses = port.Eval(context)
-        row[:] = [poses[i].GetAsMatrix34() for i in scene.moving]
+        row[:] = np.reshape([poses[i].GetAsMatrix34() for i in scene.moving], row.shape)  # or none
     writer.poses([scene.paths[i] for i in scene.moving], rows)
 
 

@@ -1,5 +1,6 @@
 """Checks a hand description and its model for faults."""
 
+import dataclasses as dc
 import itertools
 from collections import Counter
 
@@ -10,6 +11,8 @@ from scipy.optimize import least_squares
 
 from geort_drake.errors import listed
 from geort_drake.hands.hand import Hand
+from geort_drake.hands.importers.finger_shapes import finger_shapes, unit
+from geort_drake.hands.importers.fingertips import parts_of
 
 # Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
@@ -22,13 +25,19 @@ _POSTURES = 100
 _PINCH_SAMPLES, _PINCH_STARTS = 2000, 4
 # Fingers must be misplaced by more than this for a finding, m.
 _ORDER_MARGIN = 0.005
+# A stretched finger may lean by this angle from +z, or bend by it from +x, degrees.
+_LEANING = 50.0
+# Fingers bend to one side if mid-range is off the stretched posture by this part of the range.
+_CLOSING_FRACTION = 0.25
+# A tip may be this far outside of its link's geometry, in addition to its radius, m.
+_TIP_MARGIN = 0.015
 # Shorter links need no collision geometry, m.
 _SHORT_LINK = 0.012
 
 
 def examine(hand: Hand) -> list[str]:
     """Returns sentences that name the hand's faults, most important first."""
-    checks = (_lengths, _limits, _pinches, _orientation, _collisions, _masses)
+    checks = (_lengths, _orientation, _tips, _limits, _pinches, _collisions, _masses)
     return [text for check in checks for text in check(hand)]
 
 
@@ -84,31 +93,62 @@ def _pinches(hand: Hand) -> list[str]:
 
 def nearest_pinch(hand: Hand, number: int) -> float:
     """Finds the smallest distance, m, between the tips of finger 0 and `number`; ignores collisions."""
+    kinematics, coupling = hand.kinematics().uncoupled()
+    fingers = kinematics.fingers[0], kinematics.fingers[number]
+    pair = dc.replace(kinematics, fingers=fingers)
+
+    def tips(q: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
+        X_BJ = pair.joint_poses(q @ coupling.T)
+        ends = [X_BJ[:, finger.joint_indices[-1]] for finger in fingers]
+        return X_BJ, [X[:, :3, :3] @ f.p_tip + X[:, :3, 3] for X, f in zip(ends, fingers, strict=True)]
+
+    def offset(q: np.ndarray) -> np.ndarray:
+        _, (thumb, finger) = tips(q[None])
+        return (thumb - finger)[0]
+
+    def jacobian(q: np.ndarray) -> np.ndarray:
+        X_BJ, ends = tips(q[None])
+        J = np.zeros((3, len(kinematics.joint_names)))
+        for sign, finger, p in zip((1, -1), fingers, ends, strict=True):
+            for joint, axis in zip(finger.joint_indices, finger.axes, strict=True):
+                X = X_BJ[0, joint]
+                J[:, joint] += sign * np.cross(X[:3, :3] @ axis, p[0] - X[:3, 3])
+        return J @ coupling
+
     q = hand.sample(_PINCH_SAMPLES)
-    p_BF = hand.fingertips(q)
-    starts = q[np.argsort(np.linalg.norm(p_BF[:, 0] - p_BF[:, number], axis=1))[:_PINCH_STARTS]]
-
-    def offset(x: np.ndarray) -> np.ndarray:
-        tips = hand.fingertips(x)
-        return tips[0] - tips[number]
-
-    return min(
-        float(np.linalg.norm(least_squares(offset, start, bounds=(hand.lower, hand.upper)).fun))
-        for start in starts
-    )
+    thumbs, others = tips(q)[1]
+    starts = q[np.argsort(np.linalg.norm(thumbs - others, axis=1))[:_PINCH_STARTS]]
+    limits = hand.lower, hand.upper
+    found = [least_squares(offset, start, jacobian, limits, xtol=1e-5) for start in starts]
+    return min(float(np.linalg.norm(each.fun)) for each in found)
 
 
 def _orientation(hand: Hand) -> list[str]:
-    """Finds faults in the fingers' positions relative to the axes of the hand base."""
+    """Finds fingers that lie, point or bend against the axes of the hand base."""
     found = []
-    p_BF = hand.fingertips(hand.sample(_PINCH_SAMPLES // 4))
     sign = 1.0 if hand.description.side == "right" else -1.0
-    names = hand.finger_names
+    names, shapes = hand.finger_names, finger_shapes(hand, np.clip(0.0, hand.lower, hand.upper))
     fingers = [number for number, name in enumerate(names) if name != "thumb"]
-    knuckles = np.array([sign * chain.X_PJ[0, 1, 3] for chain in hand.kinematics().fingers])
+    for number in fingers:
+        joints = ", ".join(f"'{joint}'" for joint in hand.description.fingers[number].joints)
+        shape = shapes[number]
+        angle = _angle(shape.direction, 2)
+        if angle > _LEANING:
+            found.append(
+                f"{names[number]} (joints {joints}) points {angle:.0f} degrees away from +z of the hand base "
+                "when it is stretched: base_pose or base_frame is wrong, or the joints' limits are"
+            )
+        bends = np.linalg.norm(shape.bending) > _CLOSING_FRACTION * shape.play
+        angle = _angle(shape.bending, 0)
+        if bends and angle > _LEANING:
+            found.append(
+                f"{names[number]} (joints {joints}) bends {angle:.0f} degrees away from +x of the hand base: "
+                "base_pose, base_frame or side is wrong, or the joints' limits are"
+            )
+    knuckles = sign * np.array([shape.p_knuckle[1] for shape in shapes])
     if "thumb" in names and fingers:
         thumb = names.index("thumb")
-        y = 0.5 * (sign * p_BF[..., 1].mean(axis=0) + knuckles)
+        y = sign * 0.5 * np.array([shape.p_base[1] + shape.p_middle[1] for shape in shapes])
         if y[thumb] < y[fingers].min() - _ORDER_MARGIN:
             found.append(
                 f"the thumb lies on the little finger's side of a {hand.description.side} hand: side or "
@@ -120,12 +160,48 @@ def _orientation(hand: Hand) -> list[str]:
     return found
 
 
+def _angle(v: np.ndarray, axis: int) -> float:
+    """Returns the angle between v (3,) and an axis of its frame, degrees."""
+    return float(np.rad2deg(np.arccos(np.clip(unit(v)[axis], -1.0, 1.0))))
+
+
+def _tips(hand: Hand) -> list[str]:
+    """Finds fingertips far from their fingers."""
+    found = []
+    lengths = [_link_lengths(chain.X_PJ, chain.p_tip) for chain in hand.kinematics().fingers]
+    usual = float(np.median([length.sum() for length in lengths]))
+    plant, description = hand.plant, hand.description
+    for finger, chain, length in zip(description.fingers, hand.kinematics().fingers, lengths, strict=True):
+        joint, last = chain.all_joint_names[-1], length[-1]
+        if last > usual:
+            found.append(
+                f"the tip of {finger.name} lies {1e3 * last:.0f} mm from its last joint '{joint}', farther "
+                f"than fingers are long ({1e3 * usual:.0f} mm): correct tip_link, tip_point or the model's "
+                "geometry"
+            )
+        frame = plant.GetBodyByName(finger.tip_link, hand.instance).body_frame()
+        links = plant.GetBodiesWeldedTo(frame.body())
+        for role, kind in ((Role.kProximity, "collision"), (Role.kIllustration, "visual")):
+            points = [part.points for part in parts_of(plant, hand.scene_graph, links, role, frame)]
+            if not points:
+                continue
+            corners = np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)
+            beside = finger.tip_point - np.clip(finger.tip_point, *corners)
+            distance = float(np.linalg.norm(beside))
+            if distance > finger.tip_radius + _TIP_MARGIN:
+                found.append(
+                    f"the tip of {finger.name} lies {1e3 * distance:.0f} mm beside the {kind} geometry of "
+                    f"'{finger.tip_link}', which joint '{joint}' moves: correct tip_point or the geometry"
+                )
+    return found
+
+
 def _collisions(hand: Hand) -> list[str]:
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     if inspector.NumGeometriesWithRole(Role.kProximity) == 0:
         return [
             "the model has no collision geometry: it can neither avoid self-collision nor grasp; "
-            "`geort-drake add-hand --hulls` makes some from the visual geometry"
+            "`geort-drake hand add --hulls` makes some from the visual geometry"
         ]
     found = []
 

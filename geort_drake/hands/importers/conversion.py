@@ -1,6 +1,5 @@
-"""Copies models; convex hulls replace unreadable meshes and missing collision geometry."""
+"""Copies URDF and SDF models with convex hulls in place of meshes that Drake cannot read."""
 
-import copy
 import os
 import re
 import xml.etree.ElementTree as ET
@@ -10,13 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError, OutputError
 from geort_drake.files import atomic_directory, write_text
-from geort_drake.hands.assembly import parse_model
-from geort_drake.hands.model_files import mesh_elements, read_model, resolve_reference, set_mesh
+from geort_drake.hands.model_files import mesh_elements, read_model, resolve_reference
 
 if TYPE_CHECKING:
     import trimesh
@@ -28,11 +24,13 @@ _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
 
 def unreadable_meshes(model: Path) -> list[Path]:
-    """Returns the meshes of a model that Drake cannot read, in the order of the file.
+    """Returns the meshes of a URDF or SDF model that Drake cannot read, in the order of the file.
 
     Raises:
         HandError: the model is missing or not XML.
     """
+    if read_model(model).tag == "mujoco":
+        return []  # MuJoCo reads them
     meshes = dict.fromkeys(mesh for _, mesh in mesh_elements(model, read_model(model)))
     return [mesh for mesh in meshes if mesh.suffix.lower() not in _READABLE]
 
@@ -40,9 +38,8 @@ def unreadable_meshes(model: Path) -> list[Path]:
 def convert_model(model: Path, folder: Path, notes: list[str]) -> Path:
     """Writes a copy of a model that Drake can read into a new folder; returns the copy's path.
 
-    MJCF becomes a single file with its includes and explicit defaults. The hulls are next to the copy, whose
-    mesh paths are all relative. Meshes in .glb have y up, unless the centers of mass of a URDF indicate z up:
-    `notes` then receives a sentence.
+    The hulls are next to the copy, whose mesh paths are all relative. Meshes in .glb have y up, unless the
+    centers of mass of a URDF indicate z up: `notes` then receives a sentence.
 
     Raises:
         HandError: a mesh is missing, damaged, or of an unknown format; or a pose or scale is invalid.
@@ -77,51 +74,17 @@ def convert_model(model: Path, folder: Path, notes: list[str]) -> Path:
 def _text_of(tree: ET.Element, model: Path, folder: Path, hulls: Mapping[Path, Path]) -> str:
     """Returns a model's XML for a file in `folder`, with `hulls` and other meshes named relative to it."""
     for element, mesh in mesh_elements(model, tree):
-        set_mesh(element, Path(os.path.relpath(hulls.get(mesh, mesh), folder.resolve())))
+        name = os.path.relpath(hulls.get(mesh, mesh), folder.resolve())
+        if element.tag == "uri":
+            element.text = name
+        else:
+            element.set("filename", name)
     colours: dict[str, dict[str, str]] = {}
     for number, material in enumerate(tree.iterfind(".//visual/material")):  # of URDF
         name, colour = material.get("name", ""), material.find("color")
         if colour is not None and colours.setdefault(name, colour.attrib) != colour.attrib:
             material.set("name", f"{name}_{number}")  # Drake refuses two materials of one name
-    for compiler in tree.iter("compiler"):  # of MJCF
-        compiler.attrib.pop("meshdir", None)
-        compiler.attrib.pop("assetdir", None)
     return ET.tostring(tree, encoding="unicode")
-
-
-def add_collisions(model: Path) -> list[str]:
-    """Gives links without collision geometry their visual geometry, or the convex hull of a visual mesh.
-
-    Args:
-        model: a URDF, SDF or MJCF file that Drake can read; it is overwritten.
-
-    Returns:
-        Names of the links that got collision geometry.
-
-    Raises:
-        HandError: the model cannot be loaded.
-    """
-    plant, _ = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    hand = parse_model(plant, model, f"model {model}")
-    tree, changed = read_model(model), []
-    links = {link.get("name"): link for tag in ("body", "link") for link in tree.iter(tag)}
-    for body in map(plant.get_body, plant.GetBodyIndices(hand)):
-        link = links.get(body.name())
-        if link is None or any(map(plant.GetCollisionGeometriesForBody, plant.GetBodiesWeldedTo(body))):
-            continue
-        shapes = [*link.findall("visual"), *link.findall("geom")]
-        for number, shape in enumerate(shapes):
-            name = f"{body.name()}_hull_{number}"
-            if shape.tag == "geom":
-                added = copy.deepcopy(shape)
-                added.attrib |= {"name": name, "contype": "1", "conaffinity": "1", "group": "3"}
-            else:
-                added = ET.Element("collision", name=name)
-                added.extend(part for part in shape if part.tag in ("origin", "pose", "geometry"))
-            link.append(added)
-        changed += [body.name()] if shapes else []
-    write_text(model, _text_of(tree, model, model.parent, {}))
-    return changed
 
 
 def _has_y_up(tree: ET.Element, model: Path, hulls: "Mapping[Path, trimesh.Trimesh]") -> bool:

@@ -17,18 +17,18 @@ from geort_drake.hands.description import (
     HandDescription,
 )
 from geort_drake.hands.hand import Hand
-from geort_drake.hands.importers.arrangement import POSTURES, arrange
+from geort_drake.hands.importers.arrangement import arrange
 from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
-from geort_drake.hands.importers.couplings import coupling_notes
 from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, parts_of
 from geort_drake.hands.importers.structure import Chain, HandStructure, read_structure
 from geort_drake.hands.links import joint_paths, position_limits
-from geort_drake.hands.model_files import read_model
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
 _BASE_NAME = "hand_base"
 # Links that touch in this fraction of random postures are assumed to touch in all postures.
 _PERMANENT_FRACTION = 0.95
+# Random postures in the search for one without self-collision.
+_POSTURES = 300
 # Steps towards the middle of the joints' ranges in the search for a start without self-collision.
 _OPENINGS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
 # With this rotation on the shipped adapter, deg, a left hand is the mirror image of a right hand.
@@ -50,13 +50,14 @@ class Proposal:
     notes: list[str]
 
 
-def propose(model: Path, name: str | None = None, palm: str | None = None) -> Proposal:
+def propose(model: Path, name: str | None = None, palm: str | None = None, hulls: bool = False) -> Proposal:
     """Describes a model as far as it can be read or guessed.
 
     Args:
         model: URDF, SDF or MJCF file.
         name: name of the hand; by default derived from the file's.
         palm: link that carries the fingers; by default the one from which most chains of joints start.
+        hulls: whether links without collision geometry collide as they are drawn.
 
     Raises:
         HandError: the model cannot be read, or is not one hand with 2 to 5 fingers of revolute joints.
@@ -78,6 +79,14 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
         ],
     )
     draft.default_positions = _default_positions(structure, draft)
+    if hulls:
+        draft.collide_as_drawn = _links_without_collisions(structure)
+        notes.append(f"links that collide as they are drawn: {listed(draft.collide_as_drawn) or 'none'}")
+    for joint in draft.joint_names:
+        if not plant.GetJointByName(joint, structure.hand).velocity_upper_limit() > 0:
+            notes.append(
+                f"the velocity limit 0 of joint '{joint}' counts as unknown: correct it in the model"
+            )
     hand = Hand(draft)
     names, X_RB, side = arrange(structure, hand, notes)
     guessed: dict[str, list[str]] = {}
@@ -88,7 +97,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     for reason in dict.fromkeys(structure.held.values()):
         joints = listed([f"'{joint}'" for joint, why in structure.held.items() if why == reason])
         notes.append(f"joints are held at their default positions, as each {reason}: {joints}")
-    notes += coupling_notes(read_model(structure.path))
+    notes += structure.notes
     palm_link = structure.palm[0]
     X_PB = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), palm_link).inverse() @ X_RB
     rpy_deg = np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
@@ -123,6 +132,17 @@ def propose(model: Path, name: str | None = None, palm: str | None = None) -> Pr
     elif (start != hand.default_position).any():
         description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
     return Proposal(description, notes)
+
+
+def _links_without_collisions(structure: HandStructure) -> list[str]:
+    """Returns the names of drawn links that neither collide nor are welded to links that do."""
+    plant, inspector = structure.plant, structure.scene_graph.model_inspector()
+    return [
+        body.name()
+        for body in map(plant.get_body, plant.GetBodyIndices(structure.hand))
+        if inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body.index()), Role.kIllustration)
+        and not any(map(plant.GetCollisionGeometriesForBody, plant.GetBodiesWeldedTo(body)))
+    ]
 
 
 def _overlaps(hand: Hand) -> dict[tuple[str, str], float]:
@@ -178,7 +198,7 @@ def _free_posture(hand: Hand) -> np.ndarray | None:
         q = start + opening * (0.5 * (hand.lower + hand.upper) - start)
         if not hand.collides(q):
             return q
-    q = hand.sample(POSTURES)
+    q = hand.sample(_POSTURES)
     free = q[~hand.collides(q)]
     return free[np.linalg.norm(free - start, axis=1).argmin()] if len(free) else None
 

@@ -18,8 +18,8 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.hands.assembly import detach_from_world, parse_model
 from geort_drake.hands.description import CouplingDescription, resolved_couplings
-from geort_drake.hands.importers.couplings import read_couplings
 from geort_drake.hands.links import joint_paths
+from geort_drake.hands.model_files import read_couplings
 
 MAX_FINGERS = 5
 # A second branch of a finger is a separate finger if it has this many joints of its own.
@@ -60,6 +60,7 @@ class HandStructure:
         chains: the 2 to 5 fingers.
         couplings: the joints that follow others.
         held: joints that cannot belong to a finger, and the reason for each.
+        notes: sentences on couplings that are guessed or ignored.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class HandStructure:
     chains: list[Chain]
     couplings: list[CouplingDescription]
     held: dict[str, str]
+    notes: list[str]
 
 
 def read_structure(path: Path, palm: str | None = None) -> HandStructure:
@@ -100,7 +102,7 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     carrier = _palm(groups, palm)
     if palm is None:
         _require_one_hand(groups, carrier, joints, source)
-    couplings = read_couplings(path)
+    couplings, notes = read_couplings(path)
     for coupling in couplings:
         for name in (coupling.joint, coupling.follows):
             if name not in joints:
@@ -130,7 +132,7 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
         )
     carried = Counter(joints[finger[0]].parent_body().index() for finger in fingers)
     links = sorted(groups[carrier], key=lambda body: -carried[body.index()])
-    return HandStructure(path, plant, scene_graph, hand, root.name(), links, chains, couplings, held)
+    return HandStructure(path, plant, scene_graph, hand, root.name(), links, chains, couplings, held, notes)
 
 
 def _groups(
