@@ -35,11 +35,11 @@ import importlib
 TYPE_CHECKING = False  # as in typing, whose import would take longer than all the rest
 
 if TYPE_CHECKING:
-    from geort_drake.comparison.metrics import evaluate as evaluate
     from geort_drake.hands.assembly import add_hand_model as add_hand_model
     from geort_drake.hands.description import load_hand as load_hand
     from geort_drake.hands.hand import Hand as Hand
     from geort_drake.hands.model import HandModel as HandModel
+    from geort_drake.metrics.metrics import evaluate as evaluate
     from geort_drake.people.readers import read_recording as read_recording
     from geort_drake.people.recording import Recording as Recording
     from geort_drake.people.synthetic.play import synthesize_play as synthesize_play
@@ -81,7 +81,7 @@ _MODULES = {
     "StateSpec": "rerun",
     "add_hand_model": "hands.assembly",
     "add_rerun_recorder": "rerun",
-    "evaluate": "comparison.metrics",
+    "evaluate": "metrics.metrics",
     "load_hand": "hands.description",
     "load_retargeter": "retargeting.store",
     "load_scenario": "simulation.scenario_files",

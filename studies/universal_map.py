@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.comparison.metrics import evaluate_frames, robot_space
 from geort_drake.console import print_table
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.model import HandModel
+from geort_drake.metrics.metrics import evaluate_frames, robot_space
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.population import sample_person

@@ -95,7 +95,7 @@ def light_benchmark(play):
 
 def _lighten(patch: pytest.MonkeyPatch, cache: Path) -> None:
     """Gives evaluations few samples, so that they are quick and mean little, and trainings another cache."""
-    from geort_drake.comparison import metrics
+    from geort_drake.metrics import metrics
 
     patch.setenv("XDG_CACHE_HOME", str(cache))
     patch.setattr(metrics, "ROBOT_SAMPLES", 500)

@@ -10,11 +10,10 @@ from light_training import train_lightly
 
 from geort_drake import synthesize_play
 from geort_drake.cli import run_command
-from geort_drake.comparison.comparison import Comparison, Evaluation, Outcome
-from geort_drake.comparison.metric_table import mean
-from geort_drake.comparison.metrics import pinch
-from geort_drake.comparison.protocols import GUARD_S, held_out
 from geort_drake.errors import TrainingError
+from geort_drake.metrics import compare
+from geort_drake.metrics.compare import Comparison, better, summary, worst
+from geort_drake.metrics.protocols import GUARD_S, held_out
 from geort_drake.retargeting.online import AnyTeleop
 
 
@@ -45,32 +44,46 @@ def evaluate(play, quick, monkeypatch, tmp_path):
     return run
 
 
-def test_every_method_is_scored_under_every_protocol(evaluate, play, quick, tmp_path, capsys):
-    """Trained and trivial methods, two seeds: JSON and tables are whole."""
-    methods = ["telekinesis", "hold"]
+def values(report, **key) -> dict:
+    """Metric → values of the rows with that key."""
+    found: dict = {}
+    for row in report["rows"]:
+        if key.items() <= row.items():
+            found.setdefault(row["metric"], []).append(row["value"])
+    return found
+
+
+def test_every_method_is_scored_under_every_protocol(evaluate, play, tmp_path, capsys):
+    """A trained, a trivial and one's own method, two seeds: rows and tables are whole."""
+    (tmp_path / "own.py").write_text(
+        "def make(hand):\n    return lambda p_HK: 0.5 * (hand.lower + hand.upper)\n"
+    )
+    methods = ["telekinesis", "hold", "own.py"]
     code, report = evaluate(f"--methods {' '.join(methods)} --held-out 2 --score-on other.npz --seeds 0 1")
-    assert code == 0
+    assert code == 0 and report["errors"] == []
     assert report["hand"] == "allegro_right" and "drake" in report["versions"]
     assert (report["recording"], report["recording_sha256"]) == ("hand.npz", play.digest)
-    assert report["seeds"] == [0, 1] and list(report["methods"]) == methods
-    parts = {name: [part["name"] for part in p["parts"]] for name, p in report["protocols"].items()}
-    assert parts == {
-        "same_person": ["hand.npz"],
-        "held_out": ["block 1 of 2", "block 2 of 2"],
-        "other_person": ["other.npz"],
-    }
-    for of_method in report["methods"].values():
-        assert list(of_method) == list(parts)
-        for protocol, figures in of_method.items():
-            done = [(outcome["part"], outcome["seed"]) for outcome in figures["outcomes"]]
-            assert done == [(part, seed) for seed in (0, 1) for part in parts[protocol]]
-            assert all(outcome["frames"] == 40 for outcome in figures["outcomes"])
-            assert (figures["worst_part"] is None) == (protocol != "held_out")
-            covered = figures["mean"]["coverage"]["10mm"]
-            assert (covered is None) == (protocol == "held_out")
-    hold = report["methods"]["hold"]["same_person"]
-    assert hold["mean"]["motion_preservation"] == 0.0 and hold["mean"]["smoothness"]["max"] == 0.0
-    assert not hold["outcomes"][0]["remembers"]
+    wanted = [
+        (method, protocol, part, seed)
+        for method in methods
+        for protocol, parts in (
+            ("same_person", ["hand.npz"]),
+            ("held_out", ["block 1 of 2", "block 2 of 2"]),
+            ("other_person", ["other.npz"]),
+        )
+        for seed in (0, 1)
+        for part in parts
+    ]
+    keys = [(row["method"], row["protocol"], row["part"], row["seed"]) for row in report["rows"]]
+    assert list(dict.fromkeys(keys)) == wanted
+    hold = values(report, method="hold", protocol="same_person")
+    assert hold["motion_preservation"] == [0.0, 0.0] and hold["jitter"] == [0.0, 0.0]
+    own = values(report, method="own.py", protocol="same_person")
+    assert all(own[name] == hold[name] for name in hold if not name.startswith("latency"))
+    assert values(report, method="hold", protocol="held_out")["coverage"] == [None] * 4
+    assert report["metrics"]["motion_preservation"] == "higher" and report["metrics"]["jitter"] == "lower"
+    means = [line for line in report["summary"] if line["metric"] == "smoothness.max"]
+    assert [line["worst_part"] is None for line in means if line["method"] == "hold"] == [True, False, True]
     said = capsys.readouterr()
     assert said.out == "" and "Figures: table.json" in said.err
     for title in ("same person, training recording", "held-out blocks", "another person", "worst part"):
@@ -82,17 +95,16 @@ def test_a_map_is_scored_only_where_its_training_fits(evaluate, play, quick, cap
     path = quick("allegro_right", play)
     code, report = evaluate(f"--methods {path} --held-out 2 --score-on other.npz")
     assert code == 1
-    (of_method,) = report["methods"].values()
-    assert of_method["same_person"]["mean"]["motion_preservation"] is not None
-    assert of_method["other_person"]["mean"]["motion_preservation"] is not None
-    assert of_method["held_out"]["mean"] is None
-    assert "cannot be trained without the block" in of_method["held_out"]["outcomes"][0]["error"]
+    for protocol in ("same_person", "other_person"):
+        assert values(report, protocol=protocol)["motion_preservation"][0] is not None
+    assert {row["protocol"] for row in report["errors"]} == {"held_out"}
+    assert "cannot be trained without the block" in report["errors"][0]["error"]
     assert "block 1 of 2, seed 0" in " ".join(capsys.readouterr().err.split())
     other_person = quick("allegro_right", synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
     code, report = evaluate(f"--methods {other_person}")
     assert code == 1
-    (outcome,) = report["methods"][str(other_person)]["same_person"]["outcomes"]
-    assert "was trained on another recording than hand.npz" in outcome["error"]
+    (failed,) = report["errors"]
+    assert "was trained on another recording than hand.npz" in failed["error"]
 
 
 def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsys):
@@ -106,12 +118,13 @@ def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsy
     monkeypatch.setattr("geort_drake.retargeting.train.cached_map", train)
     code, report = evaluate("--methods telekinesis hold --held-out 2")
     assert code == 1
-    failed, done = report["methods"]["telekinesis"]["held_out"]["outcomes"]
+    (failed,) = report["errors"]
     reason = "the recording's ring tip visits only 7 places"
-    assert failed == {"part": "block 1 of 2", "seed": 0, "error": reason}
-    mean = report["methods"]["telekinesis"]["held_out"]["mean"]
-    assert mean["motion_preservation"] == done["metrics"]["motion_preservation"]
-    assert len(report["methods"]["hold"]["held_out"]["outcomes"]) == 2
+    assert failed == {
+        "method": "telekinesis", "protocol": "held_out", "part": "block 1 of 2", "seed": 0, "error": reason
+    }  # fmt: skip
+    assert len(values(report, method="telekinesis", protocol="held_out")["motion_preservation"]) == 1
+    assert len(values(report, method="hold", protocol="held_out")["motion_preservation"]) == 2
     said = " ".join(capsys.readouterr().err.split())
     assert "telekinesis, block 1 of 2, seed 0: the recording's ring tip" in said
     assert "(1 of 2)" in said
@@ -130,9 +143,10 @@ def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkey
     monkeypatch.setattr("geort_drake.retargeting.train.cached_map", train)
     with pytest.raises(KeyboardInterrupt):
         evaluate("--methods telekinesis geort")
-    assert list(json.loads((tmp_path / "table.json").read_text("utf-8"))["methods"]) == ["telekinesis"]
+    report = json.loads((tmp_path / "table.json").read_text("utf-8"))
+    assert {row["method"] for row in report["rows"]} == {"telekinesis"}
     code, report = evaluate("--methods telekinesis geort")
-    assert code == 0 and list(report["methods"]) == ["telekinesis", "geort"]
+    assert code == 0 and {row["method"] for row in report["rows"]} == {"telekinesis", "geort"}
     assert trained == [("telekinesis", False), ("telekinesis", True), ("geort", False)]
 
 
@@ -142,35 +156,58 @@ def halves(play, allegro) -> Comparison:
     return Comparison(allegro, [held_out(play, 2)], (0,), frame_limit=20)
 
 
-def test_pinches_of_all_blocks_count_alike(halves):
-    """A block without pinches has no share of closed ones, and one with few does not count as much."""
-    rng = np.random.default_rng(0)
-    outcomes = []
-    for case, pinches in zip(halves.protocols[0].cases, (1, 3), strict=True):
-        p_HF = np.zeros((4, 4, 3)) + [[0, 0, 0], [0, 0.1, 0], [0, 0.2, 0], [0, 0.3, 0]]
-        p_HF[:pinches, 1, 1] = 0.01
-        p_BF = p_HF + (0.05 if pinches == 1 else 0.0) * np.array([[0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 0]])
-        figures = {**mean([]), "motion_preservation": float(rng.uniform())}
-        figures["pinch"] = pinch(p_HF, p_BF, halves.hand.finger_names, 0.012)
-        outcomes.append(Outcome(case, 0, Evaluation(figures, False, p_HF, p_BF)))
-    summary = halves.summary(outcomes)
-    assert summary["mean"]["pinch"]["closed"] == pytest.approx(3 / 4)
-    assert summary["mean"]["pinch"]["frames"] == 4
-    assert summary["worst_part"]["pinch"]["closed"] == 0.0
-    motions = [outcome.evaluation.metrics["motion_preservation"] for outcome in outcomes]
-    assert summary["mean"]["motion_preservation"] == pytest.approx(np.mean(motions))
-    assert summary["worst_part"]["motion_preservation"] == min(motions)
+def row(metric, value, part="a", seed=0, weight=1.0) -> dict:
+    key = {"method": "m", "protocol": "held_out", "part": part, "seed": seed}
+    return {**key, "metric": metric, "value": value, "weight": weight}
 
 
-def test_recorded_frames_are_answered_in_their_order_from_rest(halves, quick):
+def figures_of(rows, metric) -> dict:
+    (line,) = (line for line in summary(rows).to_dict("records") if line["metric"] == metric)
+    return line
+
+
+def test_pinches_of_all_blocks_count_alike():
+    """A block with few pinches does not count as much, and one without has no share of closed ones."""
+    rows = [
+        *(row("pinch.closed", 0.0, "a", weight=1.0), row("pinch.frames", 1, "a")),
+        *(row("pinch.closed", 1.0, "b", weight=3.0), row("pinch.frames", 3, "b")),
+        *(row("pinch.closed", None, "c", weight=0.0), row("pinch.frames", 0, "c")),
+    ]
+    assert figures_of(rows, "pinch.closed")["mean"] == pytest.approx(0.75)
+    assert figures_of(rows, "pinch.closed")["worst_part"] == 0.0
+    assert figures_of(rows, "pinch.frames")["mean"] == 4
+
+
+def test_the_summary_is_of_parts_then_of_seeds():
+    rows = [row("jitter", value, part, seed) for seed, parts in enumerate(((1, 3), (5, 7)))
+            for part, value in zip("ab", parts, strict=True)]  # fmt: skip
+    line = figures_of(rows, "jitter")
+    assert (line["mean"], line["worst_part"], line["worst_seed"]) == (4.0, 7.0, 6.0)
+    assert np.isnan(figures_of(rows[:1], "jitter")["worst_part"])
+
+
+def test_the_worst_is_the_lowest_or_the_highest():
+    """Where neither is better, there is no worst."""
+    assert worst("coverage.10mm", [0.5, 0.2]) == 0.2 and worst("cross_talk", [0.5, 0.2]) == 0.5
+    assert np.isnan(worst("pinch.mean_mm", [1.0])) and better("size.fingers.thumb") is None
+
+
+def test_recorded_frames_are_answered_in_their_order_from_rest(halves, quick, monkeypatch):
     """Track and coverage of an online method are of each sequence, whatever was asked about before."""
-    keypoints, hand = [4, 8, 12, 16], halves.hand
-    for outcomes in halves.run("anyteleop").values():
-        for outcome in outcomes:
-            frames = outcome.case.scored_on.fingertips(keypoints)[:20]
-            p_BF = hand.fingertips(AnyTeleop(hand.kinematics())(frames))
-            np.testing.assert_allclose(outcome.evaluation.p_BF, p_BF, atol=1e-12)
-            assert outcome.evaluation.remembers and outcome.evaluation.metrics["motion_preservation"] > 0.5
+    outputs = []
+
+    def evaluate_frames(*arguments):
+        result = original(*arguments)
+        outputs.append((arguments[2], result[1]))
+        return result
+
+    original = compare.evaluate_frames
+    monkeypatch.setattr(compare, "evaluate_frames", evaluate_frames)
+    rows = halves.run("anyteleop")
+    assert min(row["value"] for row in rows if row["metric"] == "motion_preservation") > 0.5
+    hand = halves.hand
+    for frames, p_BF in outputs:
+        np.testing.assert_allclose(p_BF, hand.fingertips(AnyTeleop(hand.kinematics())(frames)), atol=1e-12)
 
 
 # -- protocols: no frame on both sides, none forgotten

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "geort_drake"
 # Each may import those before it, and every single module of geort_drake/ such as files.py.
 SUBPACKAGES = [
     "people", "hands", "retargeting", "systems", "rerun", "simulation",
-    "comparison", "benchmark", "export", "live", "cli",
+    "metrics", "benchmark", "export", "live", "cli",
 ]  # fmt: skip
 
 

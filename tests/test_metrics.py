@@ -1,5 +1,6 @@
 """Every metric against maps for which its value is known in closed form."""
 
+import dataclasses
 import json
 import math
 from types import SimpleNamespace
@@ -9,9 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geort_drake import load_retargeter, synthesize_play
-from geort_drake.comparison import map_figures, metrics
-from geort_drake.comparison.metric_table import METRICS, mean, worst
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, MethodError
+from geort_drake.metrics import map_figures, metrics
+from geort_drake.metrics.compare import TABLES, flat
+from geort_drake.own_method import OwnMethod
+from geort_drake.people.keypoints import FINGER_KEYPOINTS
 from geort_drake.retargeting.clouds import voxel_thinned
 
 NAMES = ("thumb", "index", "middle")
@@ -28,6 +31,7 @@ class PointHand:
     joint_names = tuple(f"{name}_{axis}" for name in NAMES for axis in "xyz")
     lower, upper = np.full(9, -0.06), np.full(9, 0.06)
     tip_radius = 0.012
+    default_position = np.zeros(9)
 
     def sample(self, count, seed):
         return np.random.default_rng(seed).uniform(-0.06, 0.06, (count, 9))
@@ -159,16 +163,134 @@ def test_smoothness_of_a_parabola_has_no_jerk():
     assert metrics.smoothness(np.outer(t**3, [0.6, 0.8]), 10.0)["jerk"] == pytest.approx(6000.0)
 
 
-def leaves(value, path=""):
-    """Dotted paths of all figures."""
-    if not isinstance(value, dict):
-        return {path}
-    return {leaf for key, item in value.items() for leaf in leaves(item, f"{path}.{key}".lstrip("."))}
+def test_posture_is_the_angle_between_distal_links(rng):
+    """Lengths play no role; the median and the 90th percentile are over frames and fingers."""
+    human = rng.normal(size=(50, 3, 3))
+    axis = np.cross(human, rng.normal(size=human.shape))
+    angles = np.linspace(0.0, 90.0, 150).reshape(50, 3)
+    turns = np.radians(angles)[..., None] * axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    robot = 7 * Rotation.from_rotvec(turns.reshape(-1, 3)).apply(human.reshape(-1, 3)).reshape(human.shape)
+    assert metrics.posture(human, robot) == pytest.approx({"median": 45.0, "p90": 81.0})
+
+
+def test_distal_links_turn_with_the_last_joint(allegro):
+    """Their length is constant, and base joints turn them as well; a tip is its origin plus its link."""
+    q = allegro.sample(20, seed=0)
+    links = metrics.distal_links(allegro)(q)
+    lengths = np.linalg.norm(links, axis=-1)
+    np.testing.assert_allclose(lengths, lengths[:1].repeat(20, axis=0), atol=1e-9)
+    for finger, chain in zip(range(4), allegro.kinematics().fingers, strict=True):
+        moved = q.copy()
+        moved[:, chain.joint_indices[-1]] += 0.3
+        turned = metrics.distal_links(allegro)(moved)[:, finger]
+        cosine = (turned * links[:, finger]).sum(axis=-1) / lengths[:, finger] ** 2
+        tips = metrics.fingertips_of(allegro)
+        np.testing.assert_allclose(
+            tips(moved)[:, finger] - tips(q)[:, finger], turned - links[:, finger], atol=1e-9
+        )
+        assert (cosine < 1.0).all()
+
+
+def joints(p_HF):
+    """Fingertips (N, 3, 3) as the joint angles of `PointHand`."""
+    return p_HF.reshape(len(p_HF), 9)
+
+
+def points(q):
+    return q.reshape(-1, 3, 3)
+
+
+def test_jitter_is_the_gain_of_noise(frames, rng):
+    """Twice for a map of gain 2; a map that averages two frames passes on 1/√2 of white noise."""
+    assert metrics.jitter(lambda p: 2 * joints(p), points, frames, 2 * frames, rng) == pytest.approx(2.0)
+
+    def smooth(p):
+        return 0.5 * joints(p + np.concatenate([p[:1], p[:-1]]))
+
+    value = metrics.jitter(smooth, points, frames, points(smooth(frames)), rng)
+    assert value == pytest.approx(math.sqrt(0.5), rel=0.05)
+
+
+class Creeping:
+    """A map with a memory: each call goes half of the rest of the way from zero to the fingertips."""
+
+    def reset(self):
+        self.p = 0.0
+
+    def __call__(self, p_HF):
+        self.p = 0.5 * (self.p + p_HF)
+        return self.p
+
+
+def test_engagement_tells_the_first_jump_from_what_follows(frames):
+    """A fixed map jumps to its output and stays; one with a memory goes half way, and then settles."""
+    start = np.zeros((3, 3))
+    rows = np.linspace(0, len(frames) - 1, metrics.ENGAGEMENTS).astype(int)
+    distance = 1000 * np.linalg.norm(frames[rows], axis=-1).mean()
+    fixed = metrics.engagement(lambda p: p, lambda q: q, frames, start, 30.0)
+    assert fixed == pytest.approx({"jump_mm": distance, "settling_mm": 0.0})
+    creeping = metrics.engagement(Creeping(), lambda q: q, frames, start, 30.0)
+    assert creeping == pytest.approx({"jump_mm": distance / 2, "settling_mm": distance / 2})
+
+
+def test_size_compares_gains_to_those_of_the_affine_fit(frames, rng):
+    """A robot whose fingertips spread three times as far has an affine fit of gain 3."""
+    gains = np.tile([[1.5], [3.0], [6.0]], (1, 100))
+    size = metrics.size(gains, frames, 3 * frames + 0.1, NAMES)
+    assert size["over_affine"] == pytest.approx((0.5 + 1.0 + 2.0) / 3)
+    assert size["least_over_affine"] == pytest.approx(0.5) and size["median"] == pytest.approx(3.5)
+    assert size["fingers"] == pytest.approx(dict(zip(NAMES, (1.5, 3.0, 6.0), strict=True)))
+
+
+FOLLOWER = """
+import numpy as np
+def make(hand):
+    calls = []
+    def retarget(p_HK):
+        calls.append(p_HK)
+        if len(calls) > {good}:
+            return None
+        return hand.lower + np.ones(len(hand.lower)) * np.clip(p_HK[8, 2], 0, 0.1)
+    return retarget
+"""
+
+
+def test_a_method_of_whole_hands_gets_recorded_hands_with_moved_fingers(allegro, play, tmp_path):
+    """Recorded fingertips give recorded hands; a moved tip takes its finger along, and the knuckle stays."""
+    (tmp_path / "mine.py").write_text(FOLLOWER.format(good=10**9))
+    given = []
+    method = OwnMethod(tmp_path / "mine.py", allegro.description)
+    method._retarget = lambda p_HK: given.append(p_HK) or allegro.default_position
+    retarget = metrics.complete_hands(method, allegro, play)
+    tips = play.fingertips(allegro.description.human_keypoints)
+    shape = retarget(tips[:3]).shape
+    assert shape == (3, 16) and retarget(tips[0]).shape == (16,)
+    np.testing.assert_allclose(given[:3], play.p_HK[play.valid][:3], atol=1e-6)
+    del given[:]
+    moved = tips[:1].copy()
+    moved[0, 1] += [0.003, 0.0, 0.0]
+    retarget(moved)
+    hand, recorded = given[0], play.p_HK[play.valid]
+    np.testing.assert_allclose(hand[allegro.description.human_keypoints], moved[0], atol=1e-6)
+    rest = [0, *(chain[0] for chain in FINGER_KEYPOINTS.values()), *FINGER_KEYPOINTS["little"]]
+    assert np.abs(recorded[:, rest] - hand[rest]).max(axis=(1, 2)).min() < 1e-6
+
+
+@pytest.mark.usefixtures("light_evaluation")
+def test_a_method_of_ones_own_is_evaluated_unless_its_outputs_are_unusable(allegro, play, tmp_path):
+    (tmp_path / "mine.py").write_text(FOLLOWER.format(good=10**9))
+    short = dataclasses.replace(play, t=play.t[:40], p_HK=play.p_HK[:40], valid=play.valid[:40])
+    figures = metrics.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
+    assert figures["self_collision"] is not None and figures["posture"]["median"] > 0
+    (tmp_path / "mine.py").write_text(FOLLOWER.format(good=15))
+    with pytest.raises(MethodError, match=r"outputs are unusable: \{'of shape \(\)'"):
+        metrics.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
 
 
 def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch):
     """The dictionary has every key, is JSON, repeats with its seed, and is perfect where it should be."""
     monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 20_000)
+    monkeypatch.setattr(metrics, "NumpyKinematics", lambda hand: hand)
 
     def identity(p):
         return np.reshape(p, (*p.shape[:-2], 9))
@@ -177,12 +299,16 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     result, p_BF = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
     np.testing.assert_array_equal(p_BF, frames)
     assert json.loads(json.dumps(result, allow_nan=False)).keys() == result.keys()
-    # The table of metrics names exactly what is measured.
-    assert leaves(result) == leaves(mean([result])) == leaves(worst([result]))
-    assert leaves(result) == {metric.path for metric in METRICS}
+    # The tables show nothing that is not measured.
+    assert {column.metric for columns in TABLES.values() for column in columns} <= {
+        *dict(flat(result)),
+        *("posture.median", "posture.p90"),
+    }
     assert result["motion_preservation"] == pytest.approx(1.0)
     for radius, share in result["coverage"].items():
         assert result["coverage_context_averaged"][radius] == pytest.approx(share, abs=0.005)
+    assert result["jitter"] == pytest.approx(1.0) and result["engagement"]["settling_mm"] == 0.0
+    assert result["size"]["median"] == pytest.approx(1.0)
     # The human's cube is 8 cm of the robot's 12 cm.
     assert result["coverage"]["15mm"] > 0.5
     assert set(result["coverage"]) == {"5mm", "10mm", "15mm"}
@@ -191,7 +317,8 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     result.pop("latency_us"), again.pop("latency_us")
     assert result == again
     without, *_ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
-    assert {key for key in without if without[key] is None} == {"coverage", "coverage_context_averaged"}
+    missing = {"coverage", "coverage_context_averaged", "posture"}
+    assert {key for key in without if without[key] is None} == missing
 
 
 def test_only_a_retargeter_of_the_hand_that_takes_batches_is_evaluated(allegro):
@@ -201,20 +328,3 @@ def test_only_a_retargeter_of_the_hand_that_takes_batches_is_evaluated(allegro):
     for answer, fault in ((lost[0], r"it returned \(16,\) for \(20, 4, 3\)"), (lost, "2 of 20 rows are not")):
         with pytest.raises(ValueError, match=fault):
             metrics.evaluate_frames(lambda _, q=answer: q, allegro, np.zeros((20, 4, 3)), 60.0)
-
-
-def test_the_worst_is_the_lowest_or_the_highest():
-    """Each metric by itself; what is None is no candidate, and where neither is better there is no worst."""
-
-    def figures(**changes):
-        return mean([]) | changes
-
-    pinches = [{**mean([])["pinch"], "closed": share, "mean_mm": 12.0} for share in (0.9, None, 0.7)]
-    pairs = zip((0.1, 0.3, 0.2), pinches, strict=True)
-    several = [figures(cross_talk=talk, pinch=pinch) for talk, pinch in pairs]
-    assert worst(several)["cross_talk"] == 0.3
-    assert worst(several)["pinch"]["closed"] == 0.7
-    assert worst(several)["pinch"]["mean_mm"] is None
-    assert worst(several)["flatness"] is None
-    assert mean(several)["pinch"]["closed"] == pytest.approx(0.8)
-    assert mean(several)["cross_talk"] == pytest.approx(0.2)

@@ -5,15 +5,15 @@ import pytest
 from rerun_world import entities, read, rerun
 
 from geort_drake import Recording
-from geort_drake.comparison.exploration import (
+from geort_drake.errors import RecordingError
+from geort_drake.metrics.exploration import (
     excerpt,
     find_pinches,
-    motion_cosines,
     proportional_copy,
     response,
+    windowed_cosines,
 )
-from geort_drake.comparison.explorer_recording import write_exploration
-from geort_drake.errors import RecordingError
+from geort_drake.metrics.explorer_recording import write_exploration
 from geort_drake.people.keypoints import mirrored
 
 
@@ -24,9 +24,9 @@ def test_cosines_are_of_the_motion_around_an_instant():
     human[:, 0] = 0.002 * t * [1, 0, 0]  # the other finger rests
     robot = np.zeros_like(human)
     robot[:, 0] = 0.005 * t * [0.5, np.sqrt(0.75), 0]
-    np.testing.assert_allclose(motion_cosines(human, robot, 3), 0.5)
-    np.testing.assert_allclose(motion_cosines(human, np.zeros_like(human), 3), 0.0)
-    assert np.isnan(motion_cosines(np.zeros_like(human), robot, 3)).all()
+    np.testing.assert_allclose(windowed_cosines(human, robot, 3), 0.5)
+    np.testing.assert_allclose(windowed_cosines(human, np.zeros_like(human), 3), 0.0)
+    assert np.isnan(windowed_cosines(np.zeros_like(human), robot, 3)).all()
 
 
 def test_an_excerpt_begins_where_most_pinches_are():

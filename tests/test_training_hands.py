@@ -108,7 +108,7 @@ def test_a_short_training_already_serves_the_real_recording(
     alex_npy, allegro, training_seed, reaches, monkeypatch
 ):
     """Fingertips move as the person's, pinches approach contact, and the C-space is used."""
-    monkeypatch.setattr("geort_drake.comparison.metrics.ROBOT_SAMPLES", 20_000)
+    monkeypatch.setattr("geort_drake.metrics.metrics.ROBOT_SAMPLES", 20_000)
     settings = {"steps": 300, "pretraining_steps": 500, "robot_samples": 10_000}
     retarget = train_map(allegro, alex_npy, seed=training_seed, settings=settings, show_progress=False)
     figures = evaluate(retarget, allegro, retargeting_train.training_recording(alex_npy, "right"))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from geort_drake import HandModel, load_retargeter, synthesize_play
-from geort_drake.comparison.metrics import evaluate_frames
 from geort_drake.errors import GeortError
+from geort_drake.metrics.metrics import evaluate_frames
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.person_code import observe
 from geort_drake.retargeting.person_observer import RECENT, WINDOW, PersonObserver

@@ -37,7 +37,7 @@ def add_arguments(parser: CommandParser) -> None:
     add("--recording", type=Path, required=True, help="recording to train on")
     add("--held-out", type=int, metavar="K", help="also score on K held-out blocks, for example 5")
     add("--score-on", type=Path, nargs="+", metavar="FILE", help="also score on recordings of other people")
-    methods = "methods listed below, or maps (default: all)"
+    methods = "methods listed below, maps or Python files (default: all)"
     add("--methods", nargs="+", metavar="NAME", help=methods)
     seeds = "seeds of training and metrics; with several, shows mean and worst"
     add("--seeds", type=at_least(0), nargs="+", metavar="SEED", default=[0], help=seeds)
@@ -48,11 +48,10 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand, read_recording
-    from geort_drake.comparison.comparison import Comparison, Outcome
-    from geort_drake.comparison.protocols import held_out, other_person, same_person
-    from geort_drake.comparison.report import failures, report, tables
     from geort_drake.console import console, progress_bar, warn
     from geort_drake.methods import names_of
+    from geort_drake.metrics.compare import Comparison, Row, failures, report, tables
+    from geort_drake.metrics.protocols import held_out, other_person, same_person
 
     description = load_hand(arguments.hand)
     hand = HandModel(description)
@@ -67,22 +66,22 @@ def run(arguments: argparse.Namespace) -> int:
         others = {str(path): read_recording(path, description.side) for path in arguments.score_on}
         protocols.append(other_person(recording, others))
     comparison = Comparison(hand, protocols, seeds, arguments.frames)
-    results: dict[str, dict[str, list[Outcome]]] = {}
+    rows: list[Row] = []
     done, total = itertools.count(), comparison.cases_per_method * len(methods)
     with progress_bar() as display:
         update = display.counter("evaluation")
         for name in methods:
-            results[name] = comparison.run(name, lambda note: update(next(done), total, note))
-            draft = report(comparison, results, recording, arguments.recording.name)
+            rows += comparison.run(name, lambda note: update(next(done), total, note))
+            draft = report(comparison, rows, recording, arguments.recording.name)
             write_json(arguments.json, draft, done=False)
         update(total, total)
-    for table in tables(comparison, results):
+    for table in tables(comparison, rows):
         console.print(table)
-    for line in failures(results):
+    for line in failures(rows):
         warn(f"not scored: {line}")
-    write_json(arguments.json, report(comparison, results, recording, arguments.recording.name))
+    write_json(arguments.json, report(comparison, rows, recording, arguments.recording.name))
     written = {} if arguments.json in (None, STDOUT) else {"Figures": arguments.json}
     if arguments.json is None:
         console.print("Nothing was written; --json FILE saves the figures.")
     finish(written)
-    return 1 if any(failures(results)) else 0
+    return 1 if any(failures(rows)) else 0

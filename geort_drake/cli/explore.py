@@ -21,7 +21,7 @@ universal map is measured from the recording's first second.
 def add_arguments(parser: CommandParser) -> None:
     add = parser.add_argument
     add("--recording", type=Path, metavar="FILE", help="recording of a hand (default: synthetic play)")
-    methods = "methods listed below, checkpoints or maps"
+    methods = "methods listed below, maps or Python files"
     default = ["universal", "anyteleop"]
     add("--methods", nargs="+", metavar="NAME", default=default, help=methods)
     output = "Rerun recording to write"
@@ -34,11 +34,11 @@ def add_arguments(parser: CommandParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     from geort_drake import HandModel, load_hand
-    from geort_drake.comparison.exploration import excerpt, response
-    from geort_drake.comparison.explorer_recording import write_exploration
-    from geort_drake.comparison.metrics import adapted
     from geort_drake.console import track
     from geort_drake.methods import names_of, resolve
+    from geort_drake.metrics.exploration import excerpt, response
+    from geort_drake.metrics.explorer_recording import write_exploration
+    from geort_drake.metrics.metrics import adapted
     from geort_drake.retargeting.train import training_recording
 
     if not 0.1 <= arguments.duration <= 600:

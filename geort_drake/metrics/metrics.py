@@ -1,9 +1,10 @@
-"""Metrics of a retargeter: motion, coverage, flatness, pinches, self-collision, smoothness, latency.
+"""Metrics of a retargeter: motion, size, coverage, flatness, pinches, posture, collisions, noise, latency.
 
 All metrics use the robot's exact kinematics and are means over fingers. g = FK∘f maps human fingertips
 (N, F, 3) in H to robot fingertips (N, F, 3) in B, m. Random numbers come from a NumPy Generator.
 """
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from geort_drake.comparison.map_figures import (
+from geort_drake.errors import HandError, MethodError, RecordingError
+from geort_drake.hands.hand import Hand, canonical_kinematics
+from geort_drake.metrics.map_figures import (
     HUMAN_VOXEL,
     ROBOT_SAMPLES,
     FingertipMap,
@@ -22,12 +25,9 @@ from geort_drake.comparison.map_figures import (
     motion_preservation,
     motion_preservation_track,
     moved,
-    pinched_distances,
     robot_voxels,
 )
-from geort_drake.errors import HandError, RecordingError
-from geort_drake.hands.hand import canonical_kinematics
-from geort_drake.hands.model import HandModel
+from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import PINCH_M, Recording
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
@@ -41,6 +41,41 @@ MIN_GAIN = 1e-6  # smaller gains are rounding errors of a finger that does not r
 APART_DISTANCE = 0.030  # m; human fingertips farther apart are not meant to pinch
 DEEP_PINCH_DISTANCE = 0.004  # m; robot fingertips closer than this press into each other
 PENETRATION = 0.002  # m; deeper penetrations count as self-collision
+NOISE = 0.001  # m, standard deviation of a fingertip's coordinates in `jitter`
+SIZE_SAMPLES = 4000  # uniform joint angles, to which `size` compares
+ENGAGEMENTS = 20  # hands at which `engagement` is measured
+
+
+@dataclass(frozen=True)
+class Pinches:
+    """The thumb and the finger nearest to it in T hands.
+
+    Attributes:
+        pair: (T, 2) numbers of the thumb and that finger.
+        distance: (T,) distance between the two human tips, m.
+    """
+
+    pair: np.ndarray
+    distance: np.ndarray
+
+    @property
+    def closed(self) -> np.ndarray:
+        """(T,) whether the pair pinches."""
+        return self.distance < PINCH_M
+
+    def of(self, tips: np.ndarray) -> np.ndarray:
+        """Selects the tips (T, 2, 3) of these pairs from any fingertips (T, F, 3)."""
+        return tips[np.arange(len(tips))[:, None], self.pair]
+
+
+def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
+    """Finds the pinches of human fingertips (T, F, 3), m."""
+    thumb = list(finger_names).index("thumb")
+    others = np.array([i for i in range(len(finger_names)) if i != thumb])
+    distances = np.linalg.norm(tips[:, others] - tips[:, [thumb]], axis=-1)
+    nearest = distances.argmin(axis=1)
+    pair = np.stack([np.full(len(tips), thumb), others[nearest]], axis=1)
+    return Pinches(pair, distances[np.arange(len(tips)), nearest])
 
 
 @dataclass(frozen=True)
@@ -56,14 +91,14 @@ class RobotSpace:
     reachable: list[np.ndarray]
 
 
-def robot_space(hand: HandModel, seed: int = 0) -> RobotSpace:
+def robot_space(hand: Hand, seed: int = 0) -> RobotSpace:
     """Samples the C-space of a hand, which does not depend on the method."""
     q = hand.sample(ROBOT_SAMPLES, seed)
     p_BF = fingertips_of(hand)(q)
     return RobotSpace(p_BF, robot_voxels(p_BF))
 
 
-def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: int = 0) -> dict:
+def evaluate(retarget: Callable, hand: Hand, recording: Recording, seed: int = 0) -> dict:
     """Computes all metrics of a retargeter on one recording, as a dictionary of JSON types.
 
     Args:
@@ -82,9 +117,11 @@ def evaluate(retarget: Callable, hand: HandModel, recording: Recording, seed: in
         ValueError: the retargeter returns another shape.
     """
     _require_same_hand(retarget, hand)
-    frames = recording.fingertips(hand.description.human_keypoints)
-    retarget = adapted(retarget, recording)
-    return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, robot_space(hand, seed))[0]
+    keypoints = hand.description.human_keypoints
+    frames, distal = recording.fingertips(keypoints), distal_phalanges(recording, keypoints)
+    retarget = complete_hands(adapted(retarget, recording), hand, recording)
+    space = robot_space(hand, seed)
+    return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, space, distal=distal)[0]
 
 
 def adapted(retarget: Callable, recording: Recording) -> Callable:
@@ -94,7 +131,7 @@ def adapted(retarget: Callable, recording: Recording) -> Callable:
     return retarget.for_person(recording.tracked().p_HK[: max(1, round(recording.rate_hz * OBSERVED_S))])
 
 
-def _require_same_hand(retarget: Callable, hand: HandModel) -> None:
+def _require_same_hand(retarget: Callable, hand: Hand) -> None:
     """Raises HandError if a map has other joints or joint limits than the hand."""
     for name, own in (("joint_names", hand.joint_names), ("lower", hand.lower), ("upper", hand.upper)):
         given = getattr(retarget, name, own)
@@ -107,18 +144,20 @@ def _require_same_hand(retarget: Callable, hand: HandModel) -> None:
 
 def evaluate_frames(
     retarget: Callable,
-    hand: HandModel,
+    hand: Hand,
     frames: np.ndarray,
     rate_hz: float,
     seed: int = 0,
     space: RobotSpace | None = None,
     settled: Callable | None = None,
+    distal: np.ndarray | None = None,
 ) -> tuple[dict, np.ndarray]:
     """Computes the metrics of `evaluate` from successive fingertips `frames` (T, F, 3), m, at `rate_hz`.
 
     A retargeter with memory gets `frames` in order, as a batch. Metrics of hands that were not recorded
     (random motion, cross-talk, flatness, gain and the context average) use `settled`, a map without memory,
-    if given. Without `space` the coverages are None.
+    if given. Without `space` the coverages are None, and without the directions `distal` (T, F, 3) of the
+    person's distal phalanges in H the posture is.
 
     Returns:
         The metrics, and the robot's fingertips (T, F, 3) in B, m, mirrored for a left hand.
@@ -141,6 +180,7 @@ def evaluate_frames(
     p_BF = fingertips(q)
     flat, gains = flatness_and_gain(g, frames, rng)
     collided = self_collision(hand, q)
+    tips = fingertips(hand.default_position[None])[0]
     figures = {
         "motion_preservation": motion_preservation(g, frames, rng),
         "motion_preservation_track": motion_preservation_track(frames, p_BF),
@@ -149,10 +189,14 @@ def evaluate_frames(
         "cross_talk": cross_talk(g, frames, rng),
         "flatness": flat,
         "gain_p95_p5": gain_ratio(gains),
+        "size": size(gains, frames, fingertips(hand.sample(SIZE_SAMPLES, seed)), hand.finger_names),
         "pinch": pinch(frames, p_BF, hand.finger_names, hand.tip_radius),
         "self_collision": collided["deep"],
         "self_collision_raw": collided["any"],
+        "posture": None if distal is None else posture(distal, distal_links(hand)(q)),
         "smoothness": smoothness(q, rate_hz),
+        "jitter": jitter(retarget, fingertips, frames, p_BF, np.random.default_rng([seed, 2])),
+        "engagement": engagement(retarget, fingertips, frames, tips, rate_hz),
     }
     if space is not None:
         figures["coverage"] = coverage(space.reachable, list(np.moveaxis(p_BF, 1, 0)))
@@ -162,9 +206,60 @@ def evaluate_frames(
     return figures, p_BF
 
 
-def fingertips_of(hand: HandModel) -> Callable[[np.ndarray], np.ndarray]:
+def fingertips_of(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
     """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m, mirrored for a left hand."""
-    return NumpyKinematics(canonical_kinematics(hand)).fingertips
+    return _in_blocks(NumpyKinematics(canonical_kinematics(hand)))
+
+
+def distal_links(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
+    """Returns a function of joint angles (N, n), rad: vectors (N, F, 3) in B, m, mirrored for a left hand.
+
+    They lead from the origin of each finger's last joint to the fingertip.
+    """
+    kinematics = canonical_kinematics(hand)
+    ends = [dataclasses.replace(finger, p_tip=np.zeros(3)) for finger in kinematics.fingers]
+    origins = dataclasses.replace(kinematics, fingers=tuple(ends))
+    tip, origin = _in_blocks(NumpyKinematics(kinematics)), _in_blocks(NumpyKinematics(origins))
+    return lambda q: tip(q) - origin(q)
+
+
+def _in_blocks(kinematics: NumpyKinematics, rows: int = 4096) -> Callable[[np.ndarray], np.ndarray]:
+    """Returns a function of joint angles (N, n): fingertips (N, F, 3); all at once would fill the memory."""
+    return lambda q: np.concatenate([kinematics.fingertips(q[i : i + rows]) for i in range(0, len(q), rows)])
+
+
+def distal_phalanges(recording: Recording, keypoints: Sequence[int]) -> np.ndarray:
+    """Returns vectors (T, F, 3) in H, m, from the last joint to each of the tips `keypoints`, if tracked."""
+    p_HK, tips = recording.p_HK[recording.valid].astype(float), np.asarray(keypoints)
+    return p_HK[:, tips] - p_HK[:, tips - 1]
+
+
+def complete_hands(retarget: Callable, hand: Hand, recording: Recording) -> Callable:
+    """Returns a method of whole hands as a function of fingertips; other retargeters as they are.
+
+    The method gets the recorded hand with the nearest fingertips, whose fingers are moved to the given ones:
+    the tip by the whole difference, and the joints by less, in equal steps down to the knuckle, which stays.
+    """
+    if not isinstance(retarget, OwnMethod):
+        return retarget
+    recorded = recording.p_HK[recording.valid].astype(float)
+    tips = np.asarray(hand.description.human_keypoints)
+    tree = cKDTree(recorded[:, tips].reshape(len(recorded), -1))
+    method: OwnMethod = retarget
+
+    def of_fingertips(p_HF: np.ndarray) -> np.ndarray:
+        points = np.reshape(p_HF, (-1, len(tips), 3))
+        hands = recorded[tree.query(points.reshape(len(points), -1))[1]]
+        shift = points - hands[:, tips]
+        for joint in range(3):
+            hands[:, tips - joint] += (3 - joint) / 3 * shift
+        q = method(hands)
+        if not np.isfinite(q).all():
+            raise MethodError(f"the method's outputs are unusable: {dict(method.faults)}")
+        return q if np.ndim(p_HF) == 3 else q[0]
+
+    of_fingertips.reset = method.reset  # type: ignore[attr-defined]
+    return of_fingertips
 
 
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
@@ -248,13 +343,15 @@ def pinch(
             "frames": len(distance),
         }
 
-    return figures(pinched_distances(human, robot, PINCH_M)) | {
+    pinches = find_pinches(frames, finger_names)
+    nearest = np.linalg.norm(np.diff(pinches.of(p_BF), axis=1)[:, 0], axis=-1)
+    return figures(nearest[pinches.closed]) | {
         "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
         "all_pairs": figures(robot[human < PINCH_M]),
     }
 
 
-def self_collision(hand: HandModel, q: np.ndarray) -> dict[str, float]:
+def self_collision(hand: Hand, q: np.ndarray) -> dict[str, float]:
     """Returns the fractions of joint angles (T, n), rad, at which the hand collides.
 
     `deep` counts penetrations over 2 mm except between fingertips, `any` counts every contact.
@@ -277,6 +374,88 @@ def smoothness(q: np.ndarray, rate_hz: float) -> dict[str, float]:
         "max": float(step.max()),
         "jerk": float(jerk.mean()),
     }
+
+
+def size(
+    gains: np.ndarray, frames: np.ndarray, robot: np.ndarray, finger_names: Sequence[str]
+) -> dict[str, float | dict[str, float]]:
+    """Returns median gains of fingers, and their ratios to those of the affine fit.
+
+    The affine fit scales each human fingertip's motion by the ratio of root mean square distances from the
+    mean, of the robot's fingertip at uniform joint angles to the person's in the recording (`affine_ik`).
+
+    Args:
+        gains: (F, N) gains from `flatness_and_gain`.
+        frames: (T, F, 3) human fingertips, m.
+        robot: (N, F, 3) the robot's fingertips at uniform joint angles, m.
+        finger_names: names of the F fingers.
+
+    Returns:
+        `median`: mean over fingers of the median gain; `over_affine`, `least_over_affine`: mean and smallest
+        ratio to the affine fit's gain; `fingers`: name → median gain.
+    """
+    spreads = [np.sqrt(((p - p.mean(axis=0)) ** 2).sum(axis=-1).mean(axis=0)) for p in (robot, frames)]
+    medians = np.median(gains, axis=1)
+    ratios = medians * spreads[1] / spreads[0]
+    return {
+        "median": float(medians.mean()),
+        "over_affine": float(ratios.mean()),
+        "least_over_affine": float(ratios.min()),
+        "fingers": dict(zip(finger_names, medians.tolist(), strict=True)),
+    }
+
+
+def posture(human: np.ndarray, robot: np.ndarray) -> dict[str, float]:
+    """Returns angles between human and robot distal links (T, F, 3), degrees: `median` and `p90` over all."""
+    norms = np.linalg.norm(human, axis=-1) * np.linalg.norm(robot, axis=-1)
+    cosines = np.clip((human * robot).sum(axis=-1) / np.maximum(norms, 1e-12), -1.0, 1.0)
+    median, p90 = np.percentile(np.degrees(np.arccos(cosines)), (50, 90))
+    return {"median": float(median), "p90": float(p90)}
+
+
+def jitter(
+    retarget: Callable,
+    fingertips: FingertipMap,
+    frames: np.ndarray,
+    p_BF: np.ndarray,
+    rng: np.random.Generator,
+) -> float:
+    """Returns the noise of robot fingertips over that of the person's, mean over fingers.
+
+    White noise of 1 mm is added to each coordinate of the successive frames (T, F, 3), whose outputs without
+    noise are p_BF (T, F, 3). Both noises are root mean squares.
+    """
+    noise = rng.normal(scale=NOISE, size=frames.shape)
+    _reset(retarget)
+    moved_by = fingertips(_in_chunks(retarget, frames + noise)) - p_BF
+    output, given = (np.sqrt((x**2).sum(axis=-1).mean(axis=0)) for x in (moved_by, noise))
+    return float((output / given).mean())
+
+
+def engagement(
+    retarget: Callable, fingertips: FingertipMap, frames: np.ndarray, start: np.ndarray, rate_hz: float
+) -> dict[str, float]:
+    """Measures what the robot's fingertips do when a person engages, over hands spread over the recording.
+
+    Returns:
+        `jump_mm`: mean distance from their places `start` (F, 3) in the default posture to the first output;
+        `settling_mm`: mean distance from the first output to that after the hand has been still for 1 s.
+    """
+    jumps, settled = [], []
+    for row in np.linspace(0, len(frames) - 1, ENGAGEMENTS).astype(int):
+        _reset(retarget)
+        outputs = [retarget(frames[row]) for _ in range(1 + round(rate_hz))]
+        first, last = fingertips(np.stack([outputs[0], outputs[-1]]))
+        jumps.append(np.linalg.norm(first - start, axis=-1).mean())
+        settled.append(np.linalg.norm(last - first, axis=-1).mean())
+    _reset(retarget)
+    return {"jump_mm": float(1000 * np.mean(jumps)), "settling_mm": float(1000 * np.mean(settled))}
+
+
+def _reset(retarget: Callable) -> None:
+    """Lets a retargeter with a memory forget earlier frames."""
+    if callable(reset := getattr(retarget, "reset", None)):
+        reset()
 
 
 def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.ndarray:

@@ -8,8 +8,9 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geort_drake.colours import SKIN, Color, finger_colors
-from geort_drake.comparison.exploration import Pinches, Response, find_pinches
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
+from geort_drake.metrics.exploration import Response
+from geort_drake.metrics.metrics import Pinches, find_pinches
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import blueprint as views
@@ -48,7 +49,7 @@ Left: the **recorded hand**. Next to it: the robot hand with each method, which 
 
 def write_exploration(
     path: str | os.PathLike,
-    hand: HandModel,
+    hand: Hand,
     hands: Recording,
     methods: Mapping[str, Response],
     properties: Mapping[str, Property],
@@ -94,9 +95,7 @@ def write_exploration(
         _write_lanes(writer, hand, methods, pinches)
 
 
-def _write_human(
-    writer: Writer, hand: HandModel, p_HK: np.ndarray, tips: np.ndarray, pinches: Pinches
-) -> None:
+def _write_human(writer: Writer, hand: Hand, p_HK: np.ndarray, tips: np.ndarray, pinches: Pinches) -> None:
     path = entity_path(WORLD, "human")
     writer.human_hand(path, p_HK, SKIN)
     colors = [np.array(finger_colors(hand.finger_names))] * len(tips)
@@ -106,7 +105,7 @@ def _write_human(
     writer.series("/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
 
 
-def _write_marks(writer: Writer, path: str, hand: HandModel, response: Response, pinches: Pinches) -> None:
+def _write_marks(writer: Writer, path: str, hand: Hand, response: Response, pinches: Pinches) -> None:
     radius = 1.1 * hand.tip_radius  # covers the model's tip
     tip_colors = [np.array(finger_colors(hand.finger_names))] * len(response.q)
     writer.points(f"{path}/tips", list(response.p_BF), radius, tip_colors, SOLID)
@@ -126,7 +125,7 @@ def _write_pinches(
     writer.points(f"{path}/pinch", rows, radius, shades, CAGE)
 
 
-def _write_lanes(writer: Writer, hand: HandModel, methods: Mapping[str, Response], pinches: Pinches) -> None:
+def _write_lanes(writer: Writer, hand: Hand, methods: Mapping[str, Response], pinches: Pinches) -> None:
     codes = np.where(pinches.closed, 1.0 + pinches.pair[:, 1], 0.0)
     labels = ("–", *hand.finger_names)
     writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand.finger_names)])

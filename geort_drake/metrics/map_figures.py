@@ -1,4 +1,4 @@
-"""Figures of maps for evaluations and trainings: motion, coverage, cross-talk and pinches.
+"""Figures of maps for evaluations and trainings: motion, coverage and cross-talk.
 
 g = FK∘f maps human fingertips (N, F, 3) to robot fingertips (N, F, 3), m. Random numbers come from a NumPy
 Generator.
@@ -83,16 +83,6 @@ def cross_talk(g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, an
         others = (motion.sum() - motion[finger]) / (fingers - 1)
         ratios.append(others / motion[finger] if motion[finger] > 0 else (np.inf if others > 0 else 0.0))
     return float(np.mean(ratios))
-
-
-def pinched_distances(human: np.ndarray, robot: np.ndarray, threshold: float) -> np.ndarray:
-    """Returns the robot's distances (n,), m, of the pairs with which a person pinches.
-
-    A hand pinches with its nearest pair if that is closer than `threshold`, m; human and robot are the
-    distances (T, P), m.
-    """
-    nearest, rows = human.argmin(axis=1), np.arange(len(human))
-    return robot[rows, nearest][human[rows, nearest] < threshold]
 
 
 def moved(g: FingertipMap, x: np.ndarray, finger: int, d: np.ndarray) -> np.ndarray:

@@ -1,41 +1,19 @@
 """Computes outputs of methods for each frame of a recording's excerpt."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from geort_drake.comparison.metrics import PENETRATION
 from geort_drake.errors import RecordingError
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
+from geort_drake.metrics.metrics import PENETRATION, complete_hands, find_pinches
 from geort_drake.people.keypoints import FINGER_NAMES, mirrored
-from geort_drake.people.recording import PINCH_M, Recording
+from geort_drake.people.recording import Recording
 
 WINDOW = 0.1  # s; motions are measured from this long before a frame to this long after it
 MIN_MOTION = 0.003  # m; directions of shorter motions of a human fingertip are ignored
-
-
-@dataclass(frozen=True)
-class Pinches:
-    """The thumb and the finger nearest to it in T hands.
-
-    Attributes:
-        pair: (T, 2) numbers of the thumb and that finger.
-        distance: (T,) distance between the two human tips, m.
-    """
-
-    pair: np.ndarray
-    distance: np.ndarray
-
-    @property
-    def closed(self) -> np.ndarray:
-        """(T,) whether the pair pinches, as in `metrics.pinch`."""
-        return self.distance < PINCH_M
-
-    def of(self, tips: np.ndarray) -> np.ndarray:
-        """Selects the tips (T, 2, 3) of these pairs from any fingertips (T, F, 3)."""
-        return tips[np.arange(len(tips))[:, None], self.pair]
 
 
 @dataclass(frozen=True)
@@ -99,24 +77,14 @@ def excerpt(
     return dataclasses.replace(found, t=times - start_s, metadata=metadata)
 
 
-def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
-    """Finds the pinches of human fingertips (T, F, 3), m."""
-    thumb = list(finger_names).index("thumb")
-    others = np.array([i for i in range(len(finger_names)) if i != thumb])
-    distances = np.linalg.norm(tips[:, others] - tips[:, [thumb]], axis=-1)
-    nearest = distances.argmin(axis=1)
-    pair = np.stack([np.full(len(tips), thumb), others[nearest]], axis=1)
-    return Pinches(pair, distances[np.arange(len(tips)), nearest])
-
-
-def response(retarget: Callable, hand: HandModel, hands: Recording) -> Response:
+def response(retarget: Callable, hand: Hand, hands: Recording) -> Response:
     """Computes the outputs of a method for an excerpt.
 
     Args:
         retarget: maps human fingertips (T, F, 3) of a canonical right hand, m, to joint angles (T, n), rad.
     """
     human = hands.fingertips(hand.description.human_keypoints)
-    q = np.asarray(retarget(human))
+    q = np.asarray(complete_hands(retarget, hand, hands)(human))
     # Recordings are stored as right hands, so they are mirrored for a left robot hand.
     if hand.description.side == "left":
         human = mirrored(human)
@@ -129,7 +97,7 @@ def response(retarget: Callable, hand: HandModel, hands: Recording) -> Response:
         p_BF,
         copy,
         np.linalg.norm(copy - p_BF, axis=-1),
-        motion_cosines(human, p_BF, round(WINDOW * hands.rate_hz)),
+        windowed_cosines(human, p_BF, round(WINDOW * hands.rate_hz)),
         gap,
         gap <= 2 * hand.tip_radius,
         _collisions(hand, q),
@@ -144,7 +112,7 @@ def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:
     return robot.mean(axis=0) + scale[:, None] * centred
 
 
-def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndarray:
+def windowed_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndarray:
     """Computes mean cosines (T,) between motions of fingertips (T, F, 3) over ± `window` frames."""
     rows, window = np.arange(len(human)), max(window, 1)
     before, after = np.maximum(rows - window, 0), np.minimum(rows + window, len(human) - 1)
@@ -156,7 +124,7 @@ def motion_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndar
     return np.where(count > 0, (cosine * moves).sum(axis=1) / np.maximum(count, 1), np.nan)
 
 
-def _collisions(hand: HandModel, q: np.ndarray) -> list[np.ndarray]:
+def _collisions(hand: Hand, q: np.ndarray) -> list[np.ndarray]:
     """Computes `Response.collisions`; as in `metrics.self_collision`, two fingertips may touch."""
     context = hand.contact_context()
     found = []

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from geort_drake.comparison.metrics import MIN_FRAMES
 from geort_drake.errors import RecordingError
+from geort_drake.metrics.metrics import MIN_FRAMES
 from geort_drake.people.recording import Recording
 
 SAME_PERSON, HELD_OUT, OTHER_PERSON = "same_person", "held_out", "other_person"

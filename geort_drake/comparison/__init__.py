@@ -1,1 +1,0 @@
-"""Compares maps by metrics: training, protocols with held-out parts, and reports."""

@@ -1,0 +1,1 @@
+"""Measures maps on recordings: figures, protocols with held-out parts, comparisons, and the explorer."""

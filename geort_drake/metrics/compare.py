@@ -1,0 +1,361 @@
+"""Compares retargeting methods on one hand with the same recordings, protocols and metrics.
+
+The result is one row per method, protocol, part, seed and metric; every table is computed from the rows.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from rich import box
+from rich.console import Group
+from rich.padding import Padding
+from rich.rule import Rule
+from rich.table import Table
+from rich.text import Text
+
+from geort_drake.errors import CheckpointError, GeortError, RecordingError
+from geort_drake.files import finite_json
+from geort_drake.hands.hand import Hand
+from geort_drake.methods import PYTHON_SUFFIX, resolve
+from geort_drake.metrics.metrics import (
+    MIN_FRAMES,
+    RobotSpace,
+    adapted,
+    complete_hands,
+    distal_phalanges,
+    evaluate_frames,
+    robot_space,
+)
+from geort_drake.metrics.protocols import HELD_OUT, SAME_PERSON, Case, Protocol
+from geort_drake.people.recording import Recording
+from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.online import AnyTeleop
+from geort_drake.retargeting.store import load_retargeter
+from geort_drake.versions import versions
+
+FORMAT = 4  # of the comparison file; incremented when keys change
+Row = dict[str, Any]
+_KEYS = ["method", "protocol", "metric"]
+
+
+class Column(NamedTuple):
+    """A column of a table: name of the metric, heading and format."""
+
+    metric: str
+    heading: str
+    form: str
+
+
+# Title of each table → its columns. Every table fits a terminal of 80 characters.
+TABLES: dict[str, tuple[Column, ...]] = {
+    "direction and size": (
+        Column("motion_preservation", "MP", "{:.3f}"),
+        Column("motion_preservation_track", "track", "{:.3f}"),
+        Column("cross_talk", "cross\ntalk", "{:.2f}"),
+        Column("size.median", "gain", "{:.2f}"),
+        Column("size.over_affine", "of the\naffine", "{:.2f}"),
+        Column("size.least_over_affine", "least\nfinger", "{:.2f}"),
+        Column("gain_p95_p5", "p95/\np5", "{:.3g}"),
+        Column("flatness", "flat-\nness", "{:.3f}"),
+    ),
+    "pinches, posture and collision": (
+        Column("pinch.closed", "pinches\nclosed", "{:.1%}"),
+        Column("pinch.too_deep", "too\ndeep", "{:.1%}"),
+        Column("pinch.mean_mm", "mean\nmm", "{:.1f}"),
+        Column("pinch.p95_mm", "95 %\nmm", "{:.1f}"),
+        Column("pinch.false", "false", "{:.2%}"),
+        Column("posture.median", "posture\n°", "{:.0f}"),
+        Column("posture.p90", "90 %\n°", "{:.0f}"),
+        Column("self_collision", "self-\ncollision", "{:.1%}"),
+    ),
+    "reach": (
+        Column("coverage.5mm", "cover\n5 mm", "{:.2f}"),
+        Column("coverage.10mm", "\n10 mm", "{:.2f}"),
+        Column("coverage.15mm", "\n15 mm", "{:.2f}"),
+        Column("coverage_context_averaged.10mm", "averaged\n10 mm", "{:.2f}"),
+        Column("self_collision_raw", "raw\ncollision", "{:.1%}"),
+        Column("pinch.all_pairs.closed", "all pairs\nclosed", "{:.1%}"),
+    ),
+    "stillness, smoothness and latency": (
+        Column("jitter", "jitter", "{:.2f}"),
+        Column("engagement.jump_mm", "jump\nmm", "{:.0f}"),
+        Column("engagement.settling_mm", "settling\nmm", "{:.1f}"),
+        Column("smoothness.mean", "step\nrad", "{:.3f}"),
+        Column("smoothness.p95", "95 %\nrad", "{:.3f}"),
+        Column("smoothness.jerk", "jerk\nrad/s³", "{:.0f}"),
+        Column("latency_us.median", "call\nµs", "{:.0f}"),
+        Column("latency_us.p99", "99 %\nµs", "{:.0f}"),
+    ),
+}
+# Metrics of which higher values are better, and those of which neither are; of all others, lower ones are.
+HIGHER = (
+    "motion_preservation", "motion_preservation_track", "coverage", "coverage_context_averaged",
+    "pinch.closed", "pinch.all_pairs.closed", "size.least_over_affine",
+)  # fmt: skip
+NEITHER = (
+    "pinch.mean_mm", "pinch.all_pairs.mean_mm", "pinch.frames", "pinch.all_pairs.frames", "size.median",
+    "size.over_affine", "size.fingers",
+)  # fmt: skip
+# Method → metrics that its training has as a loss or a bound; a comparison by these is not blind.
+TRAINED_ON = {
+    "geort": "MP, coverage, flatness, pinches and self-collision",
+    "universal": "MP, track, cross-talk, gain, pinches, posture and self-collision",
+}
+
+
+def better(metric: str) -> str | None:
+    """Returns whether "higher" or "lower" values of a metric are better; None if neither."""
+    for names, direction in ((NEITHER, None), (HIGHER, "higher")):
+        if any(metric == name or metric.startswith(f"{name}.") for name in names):
+            return direction
+    return "lower"
+
+
+def flat(metrics: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float | None]]:
+    """Yields the name of each metric, the keys to it joined by dots, and its value."""
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+class Comparison:
+    """Evaluates methods one by one under the same protocols.
+
+    An online method gets the recorded frames in order, from rest. Metrics of hands that were not recorded use
+    its stationary outputs; see `AnyTeleop.settled_map`. A universal map gets only the first second of the
+    scored recording to learn the person.
+
+    Args:
+        hand: model of the robot hand.
+        protocols: protocols that define the training and scored recordings.
+        seeds: seeds of training and metrics; all cases run with each of them.
+        frame_limit: largest number of valid frames, from the first on, of each scored recording or block.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        protocols: Sequence[Protocol],
+        seeds: Sequence[int],
+        frame_limit: int | None = None,
+    ):
+        self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
+        self.frame_limit = frame_limit
+        self._spaces: dict[int, RobotSpace] = {}
+
+    @property
+    def cases_per_method(self) -> int:
+        """Number of cases that `run` evaluates, over all seeds."""
+        return len(self.seeds) * sum(len(protocol.cases) for protocol in self.protocols)
+
+    def run(self, name: str, starts: Callable[[str], None] = lambda _note: None) -> list[Row]:
+        """Evaluates one method under every protocol.
+
+        Args:
+            name: name of a method, or path of a map or a Python file for this hand.
+            starts: called with a description before each case.
+
+        Returns:
+            Rows with `method`, `protocol`, `part`, `seed`, `metric`, `value`, and `weight`: the number of
+            frames of a figure of pinches, else 1. A failed case has one row with an `error` instead of a
+            metric; the others continue.
+        """
+        rows: list[Row] = []
+        for protocol in self.protocols:
+            for seed in self.seeds:
+                for case in protocol.cases:
+                    starts(f"{Path(name).name}, {case.part}, seed {seed}")
+                    key = {"method": name, "protocol": protocol.name, "part": case.part, "seed": seed}
+                    try:
+                        metrics = dict(flat(self._evaluate(name, protocol, case, seed)))
+                    except GeortError as error:
+                        rows.append({**key, "error": str(error)})
+                        continue
+                    rows += [
+                        {**key, "metric": metric, "value": value, "weight": _weight(metric, metrics)}
+                        for metric, value in metrics.items()
+                    ]
+        return rows
+
+    def space(self, seed: int) -> RobotSpace:
+        """Returns the C-space of the hand, sampled with this seed."""
+        if seed not in self._spaces:
+            self._spaces[seed] = robot_space(self.hand, seed)
+        return self._spaces[seed]
+
+    def _evaluate(self, name: str, protocol: Protocol, case: Case, seed: int) -> dict:
+        source, keypoints = case.scored_on, self.hand.description.human_keypoints
+        frames = source.fingertips(keypoints)[: self.frame_limit]
+        if len(frames) < MIN_FRAMES:
+            raise RecordingError(f"{case.part}: {len(frames)} valid frames, at least {MIN_FRAMES} are needed")
+        if name not in METHODS and Path(name).suffix != PYTHON_SUFFIX:
+            _check_training(name, protocol, case)
+        retarget: Callable = adapted(resolve(name, self.hand, case.trained_on, seed)[0], source)
+        settled = None
+        if isinstance(retarget, AnyTeleop):
+            settled = retarget.settled_map(frames)
+            retarget.reset()
+        metrics, _ = evaluate_frames(
+            complete_hands(retarget, self.hand, source),
+            self.hand,
+            frames,
+            source.rate_hz,
+            seed,
+            self.space(seed) if protocol.with_coverage else None,
+            settled,
+            distal_phalanges(source, keypoints)[: self.frame_limit],
+        )
+        return finite_json(metrics)
+
+
+def _weight(metric: str, metrics: Mapping[str, float | None]) -> float:
+    """Returns the number of frames behind a figure of pinches, so that parts count by them; 1 for others."""
+    group, _, name = metric.rpartition(".")
+    is_share = group.startswith("pinch") and name not in ("frames", "false")
+    return float(metrics[f"{group}.frames"] or 0) if is_share else 1.0
+
+
+def _check_training(name: str, protocol: Protocol, case: Case) -> None:
+    """Raises CheckpointError unless the training of a map of one person fits the protocol."""
+    recording = load_retargeter(name).info.get("provenance", {}).get("recording")
+    if recording is None:
+        return  # a universal map
+    if protocol.name == HELD_OUT:
+        raise CheckpointError(f"{name}: a map cannot be trained without the block; name its method instead")
+    known = recording["sha256"] == case.scored_on.digest
+    if protocol.name == SAME_PERSON and not known:
+        raise CheckpointError(
+            f"{name}: was trained on another recording than {case.part}; give that one to --recording, "
+            "and this one to --score-on"
+        )
+    if protocol.name != SAME_PERSON and known:
+        raise CheckpointError(f"{name}: was trained on {case.part}; give another person's recording")
+
+
+def summary(rows: Sequence[Row]) -> pd.DataFrame:
+    """Summarises rows over parts and seeds.
+
+    Returns:
+        One row per method, protocol and metric: `mean` over seeds of the means over parts, which count by
+        their `weight`; the number of pinches is a sum over parts; `worst_part`: worst value over parts and
+        seeds, missing for a single part; `worst_seed`: worst of the seeds' means, missing for a single seed.
+    """
+    frame = pd.DataFrame(rows, columns=[*_KEYS, "part", "seed", "value", "weight"])
+    frame = frame.dropna(subset=["metric", "value"]).astype({"value": float, "weight": float})
+    result = []
+    for key, group in frame.groupby(_KEYS, sort=False):
+        metric, seeds = key[2], []
+        for _, part in group.groupby("seed"):
+            counted = metric.endswith(".frames")
+            seeds.append(
+                part["value"].sum() if counted else np.average(part["value"], weights=part["weight"])
+            )
+        several = group["part"].nunique() > 1, len(seeds) > 1
+        result.append(
+            [*key, np.mean(seeds)]
+            + [
+                worst(metric, values) if wanted else np.nan
+                for wanted, values in zip(several, (group["value"], seeds), strict=True)
+            ]
+        )
+    return pd.DataFrame(result, columns=[*_KEYS, "mean", "worst_part", "worst_seed"])
+
+
+def worst(metric: str, values: Sequence[float]) -> float:
+    """Returns the worst of several values; NaN if neither higher nor lower ones are better."""
+    direction = better(metric)
+    return np.nan if direction is None else float(min(values) if direction == "higher" else max(values))
+
+
+def report(comparison: Comparison, rows: Sequence[Row], recording: Recording, name: str) -> dict:
+    """Returns all results as JSON types; docs/reference/comparison-file.md describes them.
+
+    Args:
+        comparison: the comparison that produced them.
+        rows: rows of all methods, or of those finished so far.
+        recording: the training recording.
+        name: name of the recording's file.
+    """
+    done = [row for row in rows if "error" not in row]
+    return {
+        "format": FORMAT,
+        "hand": comparison.hand.description.name,
+        "hand_sha256": comparison.hand.digest,
+        "recording": name,
+        "recording_sha256": recording.digest,
+        "seeds": list(comparison.seeds),
+        "frame_limit": comparison.frame_limit,
+        "versions": versions(),
+        "protocols": {protocol.name: protocol.meaning for protocol in comparison.protocols},
+        "metrics": {metric: better(metric) for metric in dict.fromkeys(row["metric"] for row in done)},
+        "rows": done,
+        "errors": [row for row in rows if "error" in row],
+        "summary": finite_json(summary(rows).to_dict("records")),
+    }
+
+
+def tables(comparison: Comparison, rows: Sequence[Row]) -> Iterator[Group]:
+    """Yields for each protocol its meaning and a few tables with methods as rows.
+
+    The first row of a method is its mean; the worst part and the worst seed follow, if there are several. If
+    cases failed, the row states how many succeeded. Empty columns are left out.
+    """
+    figures = summary(rows)
+    for protocol in comparison.protocols:
+        chosen = figures[figures["protocol"] == protocol.name]
+        lines = [
+            line
+            for method in dict.fromkeys(row["method"] for row in rows)
+            for line in _lines(method, protocol, rows, chosen[chosen["method"] == method])
+        ]
+        heading = Rule(f"{comparison.hand.description.name}: {protocol.title}", align="left")
+        trained = [
+            f"{method} was trained on {TRAINED_ON[method]}."
+            for method in dict.fromkeys(row["method"] for row in rows)
+            if method in TRAINED_ON
+        ]
+        meaning = Padding(Text("\n".join([protocol.meaning, *trained])), (0, 0, 1, 0))
+        drawn = [_table(title, columns, lines) for title, columns in TABLES.items()]
+        yield Group(heading, meaning, *filter(None, drawn))
+
+
+def _lines(
+    method: str, protocol: Protocol, rows: Sequence[Row], figures: pd.DataFrame
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yields the label and the figures of each row of a method."""
+    own = [row for row in rows if row["method"] == method and row["protocol"] == protocol.name]
+    cases = {(row["part"], row["seed"]) for row in own}
+    failed = sum("error" in row for row in own)
+    label = Path(method).name + (f" ({len(cases) - failed} of {len(cases)})" if failed else "")
+    for column in ("mean", "worst_part", "worst_seed"):
+        values = figures.set_index("metric")[column].dropna().to_dict()
+        if column == "mean" or values:
+            yield label if column == "mean" else f"  {column.replace('_', ' ')}", values
+
+
+def _table(title: str, columns: Sequence[Column], lines: Sequence[tuple[str, dict]]) -> Table | None:
+    shown = [column for column in columns if any(column.metric in values for _, values in lines)]
+    if not shown:
+        return None
+    table = Table(title=title, title_justify="left", box=box.SIMPLE, padding=(0, 1, 0, 0))
+    table.add_column("method")
+    for column in shown:
+        table.add_column(column.heading, justify="right", no_wrap=True)
+    for label, values in lines:
+        cells = (
+            column.form.format(values[column.metric]) if column.metric in values else "–" for column in shown
+        )
+        table.add_row(label, *cells)
+    return table
+
+
+def failures(rows: Sequence[Row]) -> Iterator[str]:
+    """Yields a line for each failed case: method, part, seed and error."""
+    for row in rows:
+        if "error" in row:
+            yield f"{Path(row['method']).name}, {row['part']}, seed {row['seed']}: {row['error']}"
