@@ -118,22 +118,6 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def reserved(target: str | os.PathLike, size: int) -> Iterator[None]:
-    """Reserves disk space for `target` during a block, so that the results of long work can be written.
-
-    Args:
-        size: number of bytes.
-
-    Raises:
-        OutputError: the disk has less space, or the location is not writable.
-    """
-    folder = next(path for path in Path(target).absolute().parents if path.exists())
-    with writing(target), tempfile.TemporaryFile(dir=folder) as file:
-        os.posix_fallocate(file.fileno(), 0, size)
-        yield
-
-
-@contextlib.contextmanager
 def locked(folder: str | os.PathLike, wait: bool = False) -> Iterator[None]:
     """Creates a folder if needed, and locks it against other processes for the duration of a block.
 

@@ -539,13 +539,10 @@ def _any_frame(contents: Any, *fields: str) -> bool:
 
 
 def _joints(contents: Any) -> int:
-    """Number of joints of an XR file: 26, 25, or 0 if it is none."""
+    """Number of joints of an XR file: 26, 25, or another one if it is none."""
     if isinstance(contents, Mapping) and "joints" in contents:
-        return (
-            {416: 26, 400: 25}.get(size := np.shape(contents["joints"])[1:2][0], size)
-            if np.ndim(contents["joints"]) > 1
-            else 0
-        )
+        width = (*np.shape(contents["joints"])[1:], 0)[0]
+        return {26 * 16: 26, 25 * 16: 25}.get(width, width)
     frames = [frame for frame in _frames(contents) if isinstance(frame, Mapping)]
     lists = sum(isinstance(frame.get("joints"), list) for frame in frames)
     objects = sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in frames)

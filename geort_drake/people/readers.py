@@ -105,7 +105,8 @@ def _foreign(
     if track.side is not None:
         _require_side(track.side, side)
     unit = unit or track.unit
-    warnings, metadata = list(track.remarks), {"source": path.name, "format": format, "unit": unit}
+    warnings = list(track.remarks)
+    metadata: dict = {"source": path.name, "format": format, "unit": unit}
     t, p_WK = track.t, UNITS_M[unit] * track.p_WK
     if t is not None and np.isfinite(t).any():
         order = _usable_times(t, p_WK)

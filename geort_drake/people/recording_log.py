@@ -39,7 +39,8 @@ class RecordingLog:
         self.path, self._log = Path(path), Path(f"{path}.log")
         if self.path.suffix != ".npz":
             raise RecordingError(f"{path}: a recording is saved as .npz, not '{self.path.suffix}'")
-        self.recovered, self._error = None, None
+        self.recovered: Path | None = None
+        self._error: OutputError | None = None
         with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
             if self._log.exists() and (recording := read_log(self._log)) is not None:

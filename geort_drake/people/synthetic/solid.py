@@ -147,7 +147,7 @@ class SolidHand:
         self, free: np.ndarray, theta: np.ndarray, proximity: "_Proximity"
     ) -> tuple[np.ndarray, np.ndarray]:
         """Returns a posture near theta (20,) in which digits touch, and which; `free` is just before it."""
-        friction = self._capsules(free)
+        friction: tuple[np.ndarray, np.ndarray] | None = self._capsules(free)
         for _ in range(_CORRECTIONS):
             theta = self._corrected(theta, proximity, friction)
             proximity = self._proximity(theta)
