@@ -1,4 +1,4 @@
-# make grasp: install into .venv, simulate grasps, show the results; ARGS="--retargeter geort_coupled" trains a retargeter first.
+# make grasp: install into .venv, simulate grasps, show the results; ARGS="--retargeter geort" trains a retargeter first.
 # make test:  install the test extra and run the tests.
 # make test-lowest, make test-newest: the same with the oldest and the newest versions of the dependencies,
 #             in .venv-lowest and .venv-newest; PYTHON=python3.13 chooses the interpreter.

@@ -40,7 +40,7 @@ class GeortConfig:
     flat_weight: float = 1.0  # λ2
     pinch_weight: float = 1e3  # λ3, from 10³ to 10⁶
     collision_weight: float = 1e-2  # λ4, from 10⁻⁴ to 10⁻²
-    pinch_distance: float = 0.01  # d, m; fingertips closer than this pinch
+    pinch_distance: float = 0.01  # the paper's d, m; fingertips closer than this pinch
     step: float = 0.004  # σ, m; deviation of each coordinate of d in criteria I and III
     steps: int = 3000  # N_train
     learning_rate: float = 5e-3  # of Adam; falls to zero along half a cosine
@@ -50,7 +50,7 @@ class GeortConfig:
     robot_samples: int = 100_000  # random joint positions of the robot
     fk: str = "neural"  # or "exact", the analytical forward kinematics that the paper mentions
     pretraining_steps: int = 3000  # of the training of FK, and of C
-    pretraining_batch: int = 512
+    pretraining_batch: int = 512  # robot samples per step of these
 
 
 class FingerMlps(nn.Module):
