@@ -1,8 +1,10 @@
 """Runs and recordings in the formats of other programs, read back by readers that are not ours."""
 
+import dataclasses
 import json
 
 import numpy as np
+import pyarrow
 import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
@@ -14,11 +16,11 @@ from geort_drake.cli import run_command
 from geort_drake.errors import OutputError, RecordingError
 from geort_drake.export.episode import episode_of, read_episodes
 from geort_drake.export.lerobot import write_lerobot
-from geort_drake.export.parquet import write_parquet
-from geort_drake.rerun import file_writer
+from geort_drake.export.parquet import rows, write_parquet
 
-# Joints of each plot, and their places in `command`.
-SERIES = {"joints/thumb": {"j0": 0, "j1": 1}, "joints/index": {"j2": 2}, "arm": {"shoulder": 3, "elbow": 4}}
+# Joints, and their places in `command`.
+JOINTS = {"joints.{}.thumb.j0": 0, "joints.{}.thumb.j1": 1, "joints.{}.index.j2": 2,
+          "arm.{}.shoulder": 3, "arm.{}.elbow": 4}  # fmt: skip
 FRAMES = {"cube-0": 30, "cube-1": 20, "sphere-0": 10}
 PERIOD = 0.02
 SCENARIO = "Resolved:\n  hand: allegro_right\n  hand_parent: adapter::hand_side\n"
@@ -30,8 +32,9 @@ def command(t):
 
 
 def pose(body, t):
-    """X_WB (3, 4) of a body that turns and rises."""
-    return np.column_stack([Rotation.from_euler("z", body + t).as_matrix(), [0.1 * body, 0.0, t]])
+    """X_WB (7,) of a body that turns and rises."""
+    turn = Rotation.from_euler("z", body + t).as_quat(scalar_first=True)
+    return np.array([*turn, 0.1 * body, 0.0, t])
 
 
 def glove(seconds):
@@ -51,18 +54,15 @@ def run(tmp_path):
         thing = name.partition("-")[0]
         t = PERIOD * np.arange(frames)
         asked = np.array([command(time) for time in t])
-        with file_writer(folder / f"{name}.rrd") as writer:
-            writer.at(t)
-            poses = np.array([[pose(body, time) for body in (0, 1, 2)] for time in t])
-            bodies = ["/world/hand/palm", f"/world/{thing}/{thing}", "/world/adapter/plate"]
-            writer.poses(bodies, poses)
-            writer.human_hand("/world/human", glove(frames * PERIOD).at(t).p_HK, (200, 150, 120))
-            for key, columns in SERIES.items():
-                for kind, lag in (("command", 0.0), ("measured", 0.1)):
-                    names = [f"{joint} {kind}" for joint in columns]
-                    path = "/".join(["", *key.split("/")[:1], kind, *key.split("/")[1:]])
-                    writer.series(path, names, asked[:, list(columns.values())] - lag)
-            writer.states("/grasp", t > 0.1, ["reach", "hold"])
+        columns = {"t": t}
+        for body, model in enumerate(("hand.palm", f"{thing}.{thing}", "adapter.plate")):
+            columns[f"pose.{model}"] = rows(np.array([pose(body, time) for time in t]))
+        for kind, lag in (("command", 0.0), ("measured", 0.1)):
+            for joint, place in JOINTS.items():
+                columns[joint.format(kind)] = asked[:, place] - lag
+        columns["state.grasp"] = np.where(t > 0.1, "hold", "reach")
+        folder.mkdir(exist_ok=True)
+        pq.write_table(pyarrow.table(columns), folder / f"{name}.parquet")
         glove(frames * PERIOD).save(folder / f"{name}.glove.npz")
         trials.append({"object": thing, "seed": int(name[-1]), "success": number == 0, "outcome": "success",
                        "phase_times": {"HOLD": 0.1}})  # fmt: skip
@@ -179,8 +179,8 @@ def cut(path):
     [
         (lambda f: (f / "results.json").unlink(), "results.json is missing; a run is a folder"),
         (lambda f: (f / "results.json").write_text("{}"), "not the results of geort-drake grasp"),
-        (lambda f: (f / "cube-1.rrd").unlink(), "cube-1 lacks cube-1.rrd; .* without --no-rerun"),
-        (lambda f: cut(f / "cube-0.rrd"), "cube-0.rrd: not a readable Rerun recording"),
+        (lambda f: (f / "cube-1.parquet").unlink(), "cube-1 lacks cube-1.parquet; .* without --no-rerun"),
+        (lambda f: cut(f / "cube-0.parquet"), "cube-0.parquet: not readable"),
     ],
 )
 def test_incomplete_runs_are_refused(run, tmp_path, spoil, message):
@@ -197,7 +197,8 @@ def test_unsuitable_exports_are_refused(run, tmp_path):
     with pytest.raises(RecordingError, match="no robot, so export it as Parquet"):
         list(write_lerobot([episode_of(play, "play")], tmp_path / "out"))
     first, second, _ = read_episodes(run)
-    del second.signals[second.command_names[0]]
+    columns = second.samples.drop_columns([second.names_of("command")[0]])
+    second = dataclasses.replace(second, samples=columns)
     with pytest.raises(RecordingError, match="cube-1: its action differs from earlier episodes"):
         list(write_lerobot([first, second], tmp_path / "out"))
     with pytest.raises(OutputError, match="is not an earlier export"):

@@ -304,28 +304,42 @@ def test_points_follow_the_frame_they_are_measured_in_and_keep_their_colours(tmp
     np.testing.assert_allclose(sizes[-1], np.full((2, 3), 0.02), rtol=1e-6)
 
 
-TOO_MANY_VALUES = r"derive makes \(1, 2\) of \(1, 2\) values; expected \(1, 1\)"
+def test_a_close_up_of_a_hand_that_is_not_recorded_is_refused(tmp_path):
+    close_ups = {"c": CloseUpSpec("left", (1, 0, 0))}
+    with pytest.raises(ScenarioError, match="the hand 'left'; the recorded hands are: none"):
+        World().finalize().record(tmp_path / "no.rrd", close_ups=close_ups)
 
 
-@pytest.mark.parametrize(
-    ("key", "spec", "message"),
-    [
-        ("q", lambda b: SignalSpec(constant(b, [1, 2]), ["a"]), "size 2, but 1 names"),
-        ("x", lambda b: SignalSpec(pose_source(b, RigidTransform()), ["a"]), "is abstract; expected a vec"),
-        ("q", lambda b: SignalSpec(constant(b, [1, 2]), ["a"], derive=np.copy), TOO_MANY_VALUES),
-        ("h/wrist_pose", lambda b: HandSpec(constant(b, [0] * 63), constant(b, [0])), "RigidTransform"),
-        ("c", lambda _: CloseUpSpec("left", (1, 0, 0)), "the hand 'left'; the recorded hands are: none"),
-    ],
-)
-def test_ports_that_do_not_fit_are_refused(tmp_path, key, spec, message):
-    """Key, port and sizes are in the message, and nothing has been added."""
-    world = World().finalize()
-    given = {key.partition("/")[0]: spec(world.builder)}
-    options = {"close_ups" if key == "c" else "specs": given}
-    systems = world.builder.GetSystems()
-    with pytest.raises(ScenarioError, match=f"'{key}'.*{message}"):
-        world.record(tmp_path / "no.rrd", **options)
-    assert world.builder.GetSystems() == systems
+def test_a_table_has_the_samples_that_the_file_has(tmp_path):
+    """Signals by joint, states by name, forces by body, and poses as quaternion and position."""
+    world = World(height=0.06).finalize()
+    names = ["index/a", "thumb/b"]
+    specs = {
+        "joints/command": SignalSpec(constant(world.builder, [1, 2]), names, "command"),
+        "phase": StateSpec(steps(world.builder, [0, 0.1, 1], [[0, 1, 1]]), ["fall", "rest"]),
+    }
+    world.record(tmp_path / "t.rrd", specs=specs, period=1 / 16)
+    world.simulator.AdvanceTo(5 / 16)
+    table = world.recorder.table()
+    world.recorder.close()
+    np.testing.assert_allclose(table["t"], np.arange(6) / 16, atol=1e-9)
+    assert table["joints.command.thumb.b"].to_pylist() == [2.0] * 6
+    assert table["state.phase"].to_pylist() == ["fall"] * 2 + ["rest"] * 4
+    for column, entity, component in (
+        ("pose.ball.body", "/world/ball/body", "Transform3D:translation"),
+        ("contact.force.ball.body", "/contact/force/ball/body", "Scalars:scalars"),
+    ):
+        _, expected = read(world.recorder.path, entity, component)
+        values = np.array(table[column].to_pylist()).reshape(6, -1)[:, -np.ravel(expected[0]).size :]
+        np.testing.assert_allclose(values, np.reshape(expected, (6, -1)), atol=1e-6)
+
+
+def test_a_text_has_a_panel_and_a_recording_its_name(tmp_path):
+    world = World().finalize().record(tmp_path / "about.rrd", text="not over")
+    world.recorder.describe("cube, held", "# Held")
+    world.recorder.close()
+    assert read(world.recorder.path, "/about", "TextDocument:text")[1][0].tolist() == ["# Held"]
+    assert read(world.recorder.path, "/__properties", "RecordingInfo:name")[1][0].tolist() == ["cube, held"]
 
 
 def test_contact_arrows_appear_with_the_contact_and_vanish_with_it(tmp_path):

@@ -5,6 +5,7 @@ import json
 from functools import cache
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from grasp_setup import (
     Constant,
@@ -116,13 +117,12 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
     """Commanded fingertips by exact kinematics, torques within limits, and what was simulated."""
     from rerun_world import entities, read
 
-    from geort_drake.rerun.reader import read_samples
-
     path = tmp_path / "trial.rrd"
     scenario = scenario_with("cylinder", "{timeout: 0.5, retargeting: {latency: 0.004}}")
     human = human_with()
     run_trial(scenario, centred_map(), human, path, {"method": "affine"})
-    signals = read_samples(path).signals
+    table = pq.read_table(path.with_suffix(".parquet"))
+    signals = {name: np.array(table[name].to_pylist()) for name in table.column_names}
     for kind in KINDS:
         posture = [signals[f"arm.{kind}.{joint}"][0] for joint in scenario.arm_posture]
         np.testing.assert_allclose(posture, list(scenario.arm_posture.values()), atol=1e-3)

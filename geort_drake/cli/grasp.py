@@ -221,20 +221,21 @@ def _remove_run(folder: Path) -> None:
     results = folder / RESULTS
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # no results, or damaged ones
         names = {f"{trial['object']}-{trial['seed']}" for trial in json.loads(results.read_bytes())["trials"]}
-        for path in (*folder.glob("*.rrd"), *folder.glob("*.glove.npz")):
+        for path in (path for kind in (".rrd", ".parquet", ".glove.npz") for path in folder.glob(f"*{kind}")):
             if path.name.partition(".")[0] in names:
                 path.unlink()
     results.unlink(missing_ok=True)
 
 
 def _keep_recording(recorded: Path, folder: Path) -> None:
-    """Moves a complete trial's recording to its folder; without one, removes an earlier run's."""
-    kept = folder / recorded.name
-    kept.unlink(missing_ok=True)
-    if recorded.exists():
-        recorded.replace(kept)
-        with contextlib.suppress(OSError):  # the folder may contain other files
-            recorded.parent.rmdir()
+    """Moves a complete trial's recording and table to its folder; without them, removes an earlier run's."""
+    for file in (recorded, recorded.with_suffix(".parquet")):
+        kept = folder / file.name
+        kept.unlink(missing_ok=True)
+        if file.exists():
+            file.replace(kept)
+    with contextlib.suppress(OSError):  # the folder may contain other files
+        recorded.parent.rmdir()
 
 
 def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import yaml
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording, newest
-from geort_drake.rerun.reader import read_samples
-from geort_drake.simulation.recording import HUMAN
 from geort_drake.simulation.scenario import scenario_fields
 from geort_drake.simulation.world import ARM, HAND
 
@@ -21,15 +21,12 @@ RESULTS, SCENARIO = "results.json", "scenario.yaml"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Episode:
-    """A recording from beginning to end. Names of signals, states and poses are entity paths with dots.
+    """A recording from beginning to end.
 
     Attributes:
         name: name of the recording, such as "cylinder-0".
-        t: (T,) increasing times from 0, s.
-        glove: the human hand, sampled at `t`.
-        signals: name, such as "joints.command.thumb.joint_12" → (T,) joint angles in rad or forces in N.
-        states: name → (T,) names of the state.
-        poses: name → X_WB (T, 7) of each moving body as qw qx qy qz x y z, m.
+        glove: the human hand, sampled at the times of `samples`.
+        samples: a table as `RerunRecorder.table` makes it; its times t start at 0.
         facts: facts about the whole episode, JSON types only. For a trial, its entry in results.json and the
             metadata of the session that it replays.
         robot: name of the robot hand; None without a robot.
@@ -37,54 +34,56 @@ class Episode:
     """
 
     name: str
-    t: np.ndarray
     glove: Recording
-    signals: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
-    states: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
-    poses: dict[str, np.ndarray] = dataclasses.field(default_factory=dict)
+    samples: pa.Table
     facts: dict = dataclasses.field(default_factory=dict)
     robot: str | None = None
     carrier: str = ""
 
     @property
-    def command_names(self) -> list[str]:
-        """Names of the signals with joint commands."""
-        return [name for name in self.signals if name.split(".")[1:2] == ["command"]]
+    def t(self) -> np.ndarray:
+        """Times (T,), s."""
+        return self.samples["t"].to_numpy()
 
-    @property
-    def measured_names(self) -> list[str]:
-        """Names of the signals with measured joint positions."""
-        return [name for name in self.signals if name.split(".")[1:2] == ["measured"]]
+    def names_of(self, kind: str) -> list[str]:
+        """Returns the names of the columns with joint positions of a kind, "command" or "measured"."""
+        return [name for name in self.samples.column_names if name.split(".")[1:2] == [kind]]
+
+    def values(self, names: list[str]) -> np.ndarray:
+        """Returns columns as an array (T, n)."""
+        return np.stack([self.samples[name].to_numpy() for name in names], axis=1)
+
+    def poses(self) -> dict[str, np.ndarray]:
+        """Returns name of each moving body, such as "hand.link_3" → X_WB (T, 7), qw qx qy qz x y z."""
+        columns = [name for name in self.samples.column_names if name.startswith("pose.")]
+        return {
+            name.removeprefix("pose."): np.stack(self.samples[name].to_numpy(zero_copy_only=False))
+            for name in columns
+        }
 
     @property
     def hand_pose(self) -> np.ndarray | None:
         """X_WB (T, 7) of the robot hand's first moving body; None for a fixed base."""
-        return next((X_WB for name, X_WB in self.poses.items() if name.partition(".")[0] == HAND), None)
+        return next((X_WB for name, X_WB in self.poses().items() if name.partition(".")[0] == HAND), None)
 
     @property
     def handled_poses(self) -> dict[str, np.ndarray]:
         """Poses of the bodies that do not belong to the robot."""
         robot = (ARM, HAND, self.carrier)
-        return {name: X for name, X in self.poses.items() if name.partition(".")[0] not in robot}
+        return {name: X for name, X in self.poses().items() if name.partition(".")[0] not in robot}
 
     def resampled(self, t: np.ndarray) -> "Episode":
         """Returns the episode resampled at times (T,), s, each with the latest sample up to then."""
-        rows = newest(self.t, t)
-        return dataclasses.replace(
-            self,
-            t=np.asarray(t, dtype=float),
-            glove=self.glove.at(t),
-            signals={name: values[rows] for name, values in self.signals.items()},
-            states={name: values[rows] for name, values in self.states.items()},
-            poses={name: values[rows] for name, values in self.poses.items()},
-        )
+        samples = self.samples.take(newest(self.t, t))
+        samples = samples.set_column(samples.column_names.index("t"), "t", pa.array(np.asarray(t, float)))
+        return dataclasses.replace(self, glove=self.glove.at(t), samples=samples)
 
 
 def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
     """Reads the trials of a run, a folder that geort-drake grasp wrote.
 
     Raises:
-        RecordingError: the folder is no such run, or a file of a trial is missing.
+        RecordingError: the folder is no such run, or a file of a trial is missing or damaged.
     """
     folder = Path(path)
     results = folder / RESULTS
@@ -103,17 +102,18 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
     if not names:
         raise RecordingError(f"{results}: the run has no trials")
     for name in names:
-        for file in (f"{name}.rrd", f"{name}.glove.npz"):
+        for file in (f"{name}.parquet", f"{name}.glove.npz"):
             if not (folder / file).is_file():
                 raise RecordingError(
                     f"{folder}: trial {name} lacks {file}; an export needs it: simulate without --no-rerun"
                 )
     for name, facts in zip(names, trials, strict=True):
-        samples = read_samples(folder / f"{name}.rrd")
-        glove = Recording.load(folder / f"{name}.glove.npz").at(samples.t)
-        # The person's hand is drawn next to the robot's, but is no body.
-        bodies = {body: X for body, X in samples.poses.items() if body.partition(".")[0] != HUMAN}
-        yield Episode(name, samples.t, glove, samples.signals, samples.states, bodies, facts, robot, carrier)
+        try:
+            samples = pq.read_table(folder / f"{name}.parquet")
+        except (pa.ArrowInvalid, OSError) as error:
+            raise RecordingError(f"{folder / name}.parquet: not readable: {error}") from error
+        glove = Recording.load(folder / f"{name}.glove.npz").at(samples["t"].to_numpy())
+        yield Episode(name, glove, samples, facts, robot, carrier)
 
 
 def episode_of(recording: Recording, name: str) -> Episode:
@@ -122,4 +122,5 @@ def episode_of(recording: Recording, name: str) -> Episode:
     facts, signals = recording.metadata, {}
     if recording.robot is not None:
         signals = dict(zip(facts["robot_signals"], recording.robot.T, strict=True))
-    return Episode(name, recording.t, recording, signals, facts=facts, robot=facts.get("hand"))
+    columns = {"t": recording.t, **{key: np.ascontiguousarray(values) for key, values in signals.items()}}
+    return Episode(name, recording, pa.table(columns), facts, facts.get("hand"))

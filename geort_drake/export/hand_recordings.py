@@ -10,7 +10,7 @@ from geort_drake.hands.model import HandModel
 from geort_drake.people.coverage import tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording, newest
-from geort_drake.rerun import blueprint as views
+from geort_drake.rerun import layout as views
 from geort_drake.rerun.scene import write_robot_hand
 from geort_drake.rerun.streams import file_writer
 from geort_drake.rerun.writer import SOLID, LineStrips3D, Writer, entity_path

@@ -1,7 +1,8 @@
 """Writes episodes as a LeRobot dataset, codebase version 3.0, with a file for each.
 
 The layout is that of https://huggingface.co/docs/lerobot/lerobot-dataset-v3. It does not use
-LeRobot's own writer, whose package requires about a hundred others and pins old versions of torch and Rerun.
+LeRobot's own writer, whose package requires about a hundred others and pins old versions of torch and Rerun,
+nor `lerobot-dataset`, which brings twenty others and an older NumPy.
 """
 
 import json
@@ -140,7 +141,7 @@ def features_of(episode: Episode) -> Features:
     Raises:
         RecordingError: the episode has no commands or no measured joints.
     """
-    commands, measured = episode.command_names, episode.measured_names
+    commands, measured = episode.names_of("command"), episode.names_of("measured")
     if not (commands and measured):
         raise RecordingError(
             f"{episode.name}: this recording has no robot, so export it as Parquet; a LeRobot dataset needs "
@@ -151,8 +152,8 @@ def features_of(episode: Episode) -> Features:
     # While the hand is lost, its last pose is repeated.
     seen = np.maximum.accumulate(np.where(episode.glove.valid, np.arange(frames), 0))
     floats: Features = {
-        "action": (_table(episode, commands), commands),
-        "observation.state": (_table(episode, measured), measured),
+        "action": (episode.values(commands), commands),
+        "observation.state": (episode.values(measured), measured),
         "observation.glove": (episode.glove.p_HK[seen].reshape(frames, 63), _KEYPOINTS),
     }
     if (hand_pose := episode.hand_pose) is not None:
@@ -172,10 +173,6 @@ def features_of(episode: Episode) -> Features:
 def _write(path: Path, table: pa.Table) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(table, path)
-
-
-def _table(episode: Episode, names: list[str]) -> np.ndarray:
-    return np.stack([episode.signals[name] for name in names], axis=1)
 
 
 def _column(values: np.ndarray) -> pa.Array:

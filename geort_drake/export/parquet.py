@@ -47,17 +47,18 @@ def frame_table(episode: Episode) -> pa.Table:
     """Returns the episode's samples; the glove's keypoints and poses are null while the hand is lost."""
     lost = ~episode.glove.valid
     columns: dict[str, pa.Array] = {
-        "episode": pa.array([episode.name] * len(episode.t)).dictionary_encode(),
-        "t": pa.array(episode.t),
+        "episode": pa.array([episode.name] * len(lost)).dictionary_encode(),
+        "t": episode.samples["t"],
         "glove.valid": pa.array(episode.glove.valid),
         "glove.p_HK": rows(episode.glove.p_HK.reshape(-1, 63), lost),
     }
     if episode.glove.X_WH is not None:
         columns["glove.X_WH"] = rows(episode.glove.X_WH, lost)
-    columns |= {name: pa.array(values) for name, values in episode.signals.items()}
-    columns |= {f"state.{name}": pa.array(values) for name, values in episode.states.items()}
-    none_missing = np.zeros(len(episode.t), bool)  # these columns are null in other files
-    columns |= {f"pose.{name}": rows(values, none_missing) for name, values in episode.poses.items()}
+    for name in episode.samples.column_names[1:]:
+        column = episode.samples[name]
+        if name.startswith("pose."):  # null in the files of other objects
+            column = column.cast(pa.list_(pa.float64()))
+        columns[name] = column
     return pa.table(columns)
 
 

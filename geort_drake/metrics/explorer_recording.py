@@ -13,7 +13,7 @@ from geort_drake.metrics.exploration import Response
 from geort_drake.metrics.metrics import Pinches, find_pinches
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
-from geort_drake.rerun import blueprint as views
+from geort_drake.rerun import layout as views
 from geort_drake.rerun.scene import write_robot_hand
 from geort_drake.rerun.streams import Property, file_writer
 from geort_drake.rerun.writer import CAGE, SOLID, WORLD, Writer, entity_path

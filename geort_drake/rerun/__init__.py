@@ -13,10 +13,16 @@ contact forces and views. Without a simulation, `file_writer` opens a `Writer`, 
 time.
 """
 
-from geort_drake.rerun.add_recorder import add_rerun_recorder
-from geort_drake.rerun.plant import ContactSpec
-from geort_drake.rerun.recorder import RerunRecorder
-from geort_drake.rerun.specs import CloseUpSpec, HandSpec, PointsSpec, SignalSpec, Spec, StateSpec
+from geort_drake.rerun.recorder import RerunRecorder, add_rerun_recorder
+from geort_drake.rerun.specs import (
+    CloseUpSpec,
+    ContactSpec,
+    HandSpec,
+    PointsSpec,
+    SignalSpec,
+    Spec,
+    StateSpec,
+)
 from geort_drake.rerun.streams import file_writer
 from geort_drake.rerun.writer import Writer
 

@@ -1,4 +1,4 @@
-"""The default layout of a recording."""
+"""The views of layouts, and the default layout of a recording."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -6,26 +6,129 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
-from geort_drake.rerun import blueprint as views
-from geort_drake.rerun.plant import Poses
 from geort_drake.rerun.scene import Scene
 from geort_drake.rerun.specs import (
     CloseUpSpec,
     HandSpec,
     PointsSpec,
+    Poses,
     SignalSpec,
     Spec,
     StateSpec,
     body_and_pose,
 )
-from geort_drake.rerun.writer import HAND_FRAME, TIMELINE, WORLD, entity_path
+from geort_drake.rerun.writer import ABOUT, HAND_FRAME, TIMELINE, WORLD, entity_path
 
 VIEW_FROM = (0.62, -0.62, 0.48)  # from the scene to the eye: front left, above
 _VIEWS, _PLOTS = 3.0, 2.0  # relative heights
+# Black hands, white arms and skin stand out from this grey; the grid is slightly brighter.
+_BACKGROUND, _GRID = (70, 76, 88), (92, 99, 112, 255)
+# Heights in the viewer, px: title and ruler of a view of lanes; a lane; all views in a window of 720 px.
+_RULER, _LANE, _WINDOW = 48, 40, 650
+# For layouts in other packages, which do not import Rerun.
+Horizontal, Vertical = rrb.Horizontal, rrb.Vertical
+TextDocumentView, StateTimelineView = rrb.TextDocumentView, rrb.StateTimelineView
+View = rrb.Container | rrb.View
+Vector = Sequence[float] | np.ndarray
+
+
+def blueprint(layout: View, timeline: str = TIMELINE, rate: float = 1.0) -> rrb.Blueprint:
+    """Makes a layout that plays in a loop, with the viewer's panels collapsed.
+
+    Args:
+        rate: playback rate: recorded seconds, or steps, per second.
+    """
+    steps = timeline != TIMELINE
+    time_panel = rrb.TimePanel(
+        state="collapsed",
+        timeline=timeline,
+        play_state="playing",
+        loop_mode="all",
+        fps=rate if steps else None,
+        playback_speed=None if steps else rate,
+    )
+    return rrb.Blueprint(
+        layout,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        time_panel,
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def scene_view(
+    eye: Vector,
+    target: Vector,
+    name: str = "scene",
+    contents: Sequence[str] = ("$origin/**",),
+    overrides: Mapping[Any, Any] | None = None,
+    origin: str = f"/{WORLD}",
+    up: Vector = (0.0, 0.0, 1.0),
+) -> View:
+    """Makes a view of the world with a grid on the ground, or of another entity in its own frame.
+
+    Args:
+        eye, target, up: eye point, target point and up direction in the frame of `origin`, m.
+        contents: entities to show.
+        overrides: entity path → components that the view replaces.
+    """
+    # The grid is slightly below z = 0, where tables often have their tops.
+    plane = rr.components.Plane3D.XY.with_distance(-0.005)
+    grid = rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=0.5, color=_GRID, plane=plane)
+    controls = rrb.EyeControls3D(kind=rrb.Eye3DKind.Orbital, position=eye, look_target=target, eye_up=up)
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=list(contents),
+        name=name,
+        background=_BACKGROUND,
+        line_grid=grid if origin == f"/{WORLD}" else False,
+        eye_controls=controls,
+        overrides=overrides,
+    )
+
+
+def lanes_share(lanes: int, others: float) -> float:
+    """Returns the share of a column that fits this many lanes, but at most half of the column.
+
+    Args:
+        others: sum of the shares of the other views in the column.
+    """
+    height = _RULER + _LANE * lanes
+    return others * height / max(_WINDOW - height, height)
+
+
+def time_series(
+    title: str,
+    paths: Sequence[str],
+    legend: str = "",
+    steps: int | None = None,
+    limits: tuple[float, float] | None = None,
+) -> View:
+    """Makes a plot whose time axis is linked to those of the others, or shows `steps` steps.
+
+    Args:
+        legend: side of the legend, "left" or "right"; empty for none.
+        limits: lowest and highest value; by default those of the data.
+    """
+    axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
+    if steps is not None:
+        first, last = rr.TimeRangeBoundary.absolute(seq=0), rr.TimeRangeBoundary.absolute(seq=steps)
+        axis = rrb.TimeAxis(view_range=rr.TimeRange(first, last))
+    corner = rrb.Corner2D.RightTop if legend == "right" else rrb.Corner2D.LeftTop
+    return rrb.TimeSeriesView(
+        origin="/",
+        contents=list(paths),
+        name=title,
+        axis_x=axis,
+        axis_y=None if limits is None else rrb.ScalarAxis(range=limits, zoom_lock=True),
+        plot_legend=rrb.PlotLegend(corner, visible=bool(legend)),
+    )
 
 
 def _visible_past(seconds: float) -> rrb.VisibleTimeRanges:
@@ -44,11 +147,13 @@ class Layout:
         scene: bodies of the plant.
         close_ups: name → spec of each additional view.
         view_from: direction in W from the scene to the eye.
+        has_text: whether a panel shows the recorder's text.
     """
 
     scene: Scene
     close_ups: Mapping[str, CloseUpSpec]
     view_from: np.ndarray
+    has_text: bool = False
 
     def blueprint(self, specs: Mapping[str, Spec], rows: Mapping[str, Sequence]) -> rrb.Blueprint:
         """Makes the layout for the specs and the rows that have been sampled for each."""
@@ -61,19 +166,21 @@ class Layout:
         points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
         trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
         target, eye = self._target_and_eye(poses, hands)
-        shown = [views.scene_view(eye, target, overrides=trails)]
+        shown = [scene_view(eye, target, overrides=trails)]
         shown += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
         pages = _plots(of(SignalSpec))
-        forces = views.time_series("contact force [N]", ["/contact/**"], legend="left")
+        forces = time_series("contact force [N]", ["/contact/**"], legend="left")
         pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
-        bands: list[views.View] = [rrb.Horizontal(*shown)]
+        if self.has_text:
+            shown.append(rrb.TextDocumentView(origin=ABOUT, name="what you see"))
+        bands: list[View] = [rrb.Horizontal(*shown)]
         shares = [_VIEWS]
         if states := [entity_path(key) for key in of(StateSpec)]:
             bands.append(rrb.StateTimelineView(origin="/", contents=states, name="phase"))
-            shares.append(views.lanes_share(len(states), _VIEWS + _PLOTS))
+            shares.append(lanes_share(len(states), _VIEWS + _PLOTS))
         tabs = [rrb.Horizontal(*plots, name=page) for page, plots in pages.items()]
         bands.append(tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0))
-        return views.blueprint(rrb.Vertical(*bands, row_shares=[*shares, _PLOTS]))
+        return blueprint(rrb.Vertical(*bands, row_shares=[*shares, _PLOTS]))
 
     def _close_up(
         self,
@@ -82,7 +189,7 @@ class Layout:
         poses: Sequence[np.ndarray],
         hands: Mapping[str, Sequence[np.ndarray]],
         trails: Mapping[str, rrb.VisibleTimeRanges],
-    ) -> views.View:
+    ) -> View:
         # The view turns with the frame that it follows, so it is upright only at the end.
         eye, target, R_WF = np.asarray(spec.eye, float), np.asarray(spec.target, float), np.eye(3)
         if isinstance(spec.follows, str):
@@ -102,7 +209,7 @@ class Layout:
         overrides: dict[str, Any] = dict(trails)
         for body in spec.see_through:
             overrides |= self.scene.translucent_shapes(int(body.index()))
-        return views.scene_view(eye, target, name, [contents], overrides, origin, R_WF[2])
+        return scene_view(eye, target, name, [contents], overrides, origin, R_WF[2])
 
     def _target_and_eye(
         self, poses: Sequence[np.ndarray], hands: Mapping[str, Sequence[np.ndarray]]
@@ -140,7 +247,7 @@ def followed_bodies(close_ups: Mapping[str, CloseUpSpec], specs: Mapping[str, Sp
     return bodies
 
 
-def _plots(signals: Mapping[str, SignalSpec]) -> dict[str, list[views.View]]:
+def _plots(signals: Mapping[str, SignalSpec]) -> dict[str, list[View]]:
     """Makes the plots of each page, with fingers in their usual order regardless of the order of joints."""
     # Signals with the same title, such as commanded and measured, share a plot.
     paths: dict[tuple[str, str], list[str]] = {}
@@ -150,7 +257,7 @@ def _plots(signals: Mapping[str, SignalSpec]) -> dict[str, list[views.View]]:
             paths.setdefault((spec.page, title), []).append(path)
             limits.setdefault(title, spec.limits)
     order = {name: number for number, name in enumerate(FINGER_NAMES)}
-    pages: dict[str, list[views.View]] = {page: [] for page, _ in paths}
+    pages: dict[str, list[View]] = {page: [] for page, _ in paths}
     for page, title in sorted(paths, key=lambda of: order.get(of[1].partition(" ")[0], len(order))):
-        pages[page].append(views.time_series(title, paths[page, title], limits=limits[title]))
+        pages[page].append(time_series(title, paths[page, title], limits=limits[title]))
     return pages

@@ -4,34 +4,125 @@ Samples are kept in memory and written once as columns, which takes far less tim
 body as it moves.
 """
 
-import atexit
 import hashlib
-import math
+import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, EventStatus, OutputPort, PortDataType
+import pyarrow as pa
+from numpy.typing import ArrayLike
+from pydrake.geometry import Role, SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, OutputPort, PortDataType
 
-from geort_drake.errors import OutputError
-from geort_drake.rerun.layout import Layout
-from geort_drake.rerun.specs import Spec
+from geort_drake.errors import OutputError, ScenarioError
+from geort_drake.files import require_writable
+from geort_drake.rerun.layout import VIEW_FROM, Layout, followed_bodies
+from geort_drake.rerun.scene import describe_scene
+from geort_drake.rerun.specs import CloseUpSpec, Contacts, ContactSpec, Poses, Spec
 from geort_drake.rerun.streams import Property, Viewer, file_writer, live_writer
-from geort_drake.rerun.writer import Writer
+from geort_drake.rerun.writer import ABOUT, Writer
 from geort_drake.systems.python_system import PythonSystem
 
 _BATCH_S = 0.1  # wall time between two batches for viewers
 
 
-class RerunRecorder(PythonSystem):
-    """Records a plant and other ports to a Rerun file, to viewers, or to both.
+def add_rerun_recorder(
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    path: str | os.PathLike | None,
+    specs: Mapping[str, Spec] | None = None,
+    *,
+    viewers: Sequence[Viewer] = (),
+    period: float = 0.02,
+    role: Role = Role.kIllustration,
+    contact: ContactSpec | None = None,
+    close_ups: Mapping[str, CloseUpSpec] | None = None,
+    view_from: ArrayLike = VIEW_FROM,
+    properties: Mapping[str, Property] | None = None,
+    text: str = "",
+    plant_ports: Mapping[str, OutputPort] | None = None,
+) -> "RerunRecorder":
+    """Adds a Rerun recorder of a plant and other ports to a diagram.
 
-    Use `add_rerun_recorder` to make and connect it. It samples in periodic and forced publish events. If time
-    goes back, it drops the samples from that time on. Viewers get the samples in batches. `flush` and `close`
-    write the file atomically. Leaving the recorder as a context manager closes it, even after an error, and
-    so does the end of the process if there are samples.
+    Args:
+        builder: builder of the diagram that contains `plant` and all ports below. For a port inside a nested
+            diagram, give the nested diagram's exported port; for a plant inside one, see `plant_ports`.
+        plant: finalized plant.
+        scene_graph: the scene graph with the plant's geometry.
+        path: the .rrd file, whose folder is created if needed; None with viewers only.
+        specs: entity path → what to record in addition to the plant: signals and states under /; hands and
+            points under /world.
+        viewers: open viewers, such as `rerun.GrpcSink("rerun+http://127.0.0.1:9876/proxy")`, or servers to
+            which viewers connect, such as `rerun.GrpcServerSink`.
+        period: time between samples, s.
+        role: role of the geometry to draw; a body without any is drawn with its proximity geometry.
+        contact: options for recording contact forces (point and hydroelastic contact).
+        close_ups: name → additional view of the scene.
+        view_from: direction in W from the scene to the eye.
+        properties: facts that the viewer lists, such as {"method": "geort", "seed": 3}.
+        text: Markdown for a panel that explains the recording; see `RerunRecorder.describe`.
+        plant_ports: for a plant inside a nested diagram, the ports by which that diagram exports the plant's
+            `body_poses` and `contact_results`.
+
+    Raises:
+        ScenarioError: there is neither a file nor a viewer, or a close-up follows a hand that is not
+            recorded.
+        OutputError: the file cannot be written.
+        RuntimeError: Drake's message about a port that does not fit, a plant that is not finalized, or a
+            system in another diagram.
+    """
+    if path is not None:
+        require_writable(path)
+    elif not viewers:
+        raise ScenarioError("a recorder needs a file, viewers or both; given: neither")
+    scene = describe_scene(plant, scene_graph, role, followed_bodies(close_ups or {}, specs or {}))
+    recorded: dict[str, Spec] = {
+        "body_poses": Poses(scene),
+        "contact_results": Contacts(scene, contact or ContactSpec()),
+        **(specs or {}),
+    }
+    exported = plant_ports or {}
+    inputs: dict[str, list[str]] = {}
+    sources: dict[str, OutputPort] = {}
+    names: dict[tuple[Any, int], str] = {}
+    for key, spec in recorded.items():
+        inputs[key] = []
+        of_plant = lambda name: exported.get(name) or plant.GetOutputPort(name)  # noqa: E731
+        for name, port in spec.ports(key, of_plant).items():
+            # A port that several specs share is read once.
+            inputs[key].append(names.setdefault((port.get_system(), int(port.get_index())), name))
+            sources.setdefault(inputs[key][-1], port)
+    recorder = RerunRecorder(
+        None if path is None else Path(path),
+        recorded,
+        inputs,
+        sources,
+        period,
+        Layout(scene, dict(close_ups or {}), np.asarray(view_from, float), bool(text)),
+        viewers,
+        properties or {},
+        text,
+    )
+    taken = builder.HasSubsystemNamed("rerun_recorder")
+    builder.AddNamedSystem(
+        f"rerun_recorder_{len(builder.GetSystems())}" if taken else "rerun_recorder", recorder
+    )
+    for name, source in sources.items():
+        builder.Connect(source, recorder.GetInputPort(name))
+    return recorder
+
+
+class RerunRecorder(PythonSystem):
+    """Records a plant and other ports to a Rerun file, to viewers, or to both; see `add_rerun_recorder`.
+
+    It samples in periodic and forced publish events. If time goes back, it drops the samples from that time
+    on. Viewers get the samples in batches. `flush` and `close` write the file atomically. Leaving the
+    recorder as a context manager closes it, even after an error.
 
     Input ports (a shared one is declared once):
         body_poses (abstract list of RigidTransform): X_WB of all bodies, in plant order.
@@ -42,8 +133,6 @@ class RerunRecorder(PythonSystem):
         <hand key>/wrist_pose (abstract RigidTransform): X_OH.
         <hand key>/valid (1): 1 tracked, 0 lost; if the hand has such a port.
         <points key> (3k): p_FP, point-major, m.
-        <camera key>/color_image (abstract ImageRgba8U): image of the camera.
-        <camera key>/body_pose (abstract RigidTransform): X_WB of the camera's body.
 
     Attributes:
         path: path of the file; None if there are only viewers.
@@ -56,19 +145,18 @@ class RerunRecorder(PythonSystem):
         inputs: Mapping[str, Sequence[str]],
         sources: Mapping[str, OutputPort],
         period: float,
-        *,
         layout: Layout,
         viewers: Sequence[Viewer],
         properties: Mapping[str, Property],
+        text: str,
     ):
         super().__init__()
         self.path = path
+        self._name, self._text = path.stem if path else "live", text
         self._specs, self._inputs = dict(specs), dict(inputs)
         self._layout, self._viewers = layout, list(viewers)
         self._properties = dict(properties)
-        # Increasing times, s, with the rows of all specs; a row is None if none was due.
-        self._samples: list[tuple[float, list]] = []
-        self._read_at = dict.fromkeys(specs, -math.inf)  # s
+        self._samples: list[tuple[float, list]] = []  # increasing times, s, with the rows of all specs
         self._live: Writer | None = None
         self._sent = 0  # number of samples sent to the viewers
         self._sent_at = 0.0  # wall time, s
@@ -81,8 +169,6 @@ class RerunRecorder(PythonSystem):
         self._ports = {name: self.GetInputPort(name) for name in sources}
         self.DeclarePeriodicPublishEvent(period, 0.0, self._sample)
         self.DeclareForcedPublishEvent(self._sample)
-        # Registered after Rerun's own handler, so it runs before Rerun shuts down.
-        atexit.register(self._close_at_end)
 
     def set_properties(self, properties: Mapping[str, Property]) -> None:
         """Adds properties to the file, such as an outcome that is known only at the end.
@@ -94,6 +180,29 @@ class RerunRecorder(PythonSystem):
             raise OutputError("the recorder is closed: set properties before it is")
         self._properties.update(properties)
 
+    def describe(self, name: str, text: str) -> None:
+        """Sets the recording's name in the viewer's list, and the Markdown of its panel."""
+        self._name, self._text = name, text
+
+    def table(self) -> pa.Table:
+        """Returns the samples so far as a table with a row for each time.
+
+        Its columns are t (s); signals, such as `joints.command.thumb.joint_12`, and contact forces (N) by
+        their entity paths with dots; `state.NAME`, names of states; and `pose.MODEL.BODY`, lists
+        qw qx qy qz x y z of X_WB, m.
+        """
+        columns = {"t": np.array([now for now, _ in self._samples])}
+        for key, rows in self._columns(0).items():
+            columns |= self._specs[key].samples(key, rows)
+        return pa.table(
+            {
+                name: pa.FixedSizeListArray.from_arrays(values.ravel(), values.shape[1])
+                if values.ndim == 2
+                else values
+                for name, values in columns.items()
+            }
+        )
+
     def flush(self) -> None:
         """Writes the file with all samples so far, and sends the remaining samples to viewers."""
         if self._closed:
@@ -104,6 +213,7 @@ class RerunRecorder(PythonSystem):
             return
         with file_writer(
             self.path,
+            name=self._name,
             recording_id=self._digest(),
             blueprint=self._layout.blueprint(self._specs, self._columns(0)),
             properties=self._properties,
@@ -113,11 +223,10 @@ class RerunRecorder(PythonSystem):
     def close(self) -> None:
         """Flushes and stops recording; closing again has no effect.
 
-        If flushing fails, recording goes on; `close` can be called again, but not by the end of the process.
+        If flushing fails, recording goes on, and `close` can be called again.
         """
         if self._closed:
             return
-        atexit.unregister(self._close_at_end)
         self.flush()
         self._closed = True
         if self._live is not None:
@@ -131,11 +240,6 @@ class RerunRecorder(PythonSystem):
     def __exit__(self, *_exception: object) -> None:
         self.close()
 
-    def _close_at_end(self) -> None:
-        # A failure before the simulation must not replace an earlier file.
-        if not self._closed and self._samples:
-            self.close()
-
     def _sample(self, context: Context) -> EventStatus:
         if self._closed:
             return EventStatus.DidNothing()
@@ -143,18 +247,8 @@ class RerunRecorder(PythonSystem):
         while self._samples and self._samples[-1][0] >= now:  # time has gone back
             self._samples.pop()
         self._sent = min(self._sent, len(self._samples))
-        values: dict[str, Any] = {}  # of the ports, which specs may share
-        rows: list = []
-        for key, spec in self._specs.items():
-            if spec.period > 0.0:
-                if self._read_at[key] <= now < self._read_at[key] + spec.period - 1e-9:
-                    rows.append(None)
-                    continue
-                self._read_at[key] = now
-            for name in self._inputs[key]:
-                if name not in values:
-                    values[name] = self._ports[name].Eval(context)
-            rows.append(spec.read(*map(values.__getitem__, self._inputs[key])))
+        values = {name: port.Eval(context) for name, port in self._ports.items()}
+        rows = [spec.read(*(values[name] for name in self._inputs[key])) for key, spec in self._specs.items()]
         self._samples.append((now, rows))
         if self._viewers and time.monotonic() >= self._sent_at + _BATCH_S:
             self._send()
@@ -172,7 +266,7 @@ class RerunRecorder(PythonSystem):
             self._live = live_writer(
                 self._viewers,
                 blueprint=self._layout.blueprint(self._specs, self._columns(0)),
-                name=self.path.stem if self.path else "live",
+                name=self._name,
                 properties=self._properties,
             )
         self._write(self._live, self._sent)
@@ -182,19 +276,18 @@ class RerunRecorder(PythonSystem):
 
     def _write(self, writer: Writer, first: int) -> None:
         self._layout.scene.write(writer)
+        if self._text:
+            writer.text(ABOUT, self._text)
         writer.at(np.array([now for now, _ in self._samples[first:]]))
         for key, rows in self._columns(first).items():
             self._specs[key].write(writer, key, rows)
 
     def _digest(self) -> str:
         """Computes a hash of the contents, so that equal simulations give equal recordings."""
-        digest = hashlib.sha256(repr(sorted(self._properties.items())).encode())
+        digest = hashlib.sha256(repr((sorted(self._properties.items()), self._inputs)).encode())
         digest.update(np.array([now for now, _ in self._samples]).tobytes())
-        for key, rows in self._columns(0).items():
-            digest.update(repr(self._inputs[key]).encode())
+        for rows in self._columns(0).values():
             for row in rows:
                 for part in row if isinstance(row, tuple) else (row,):
-                    content = part.encode() if isinstance(part, str) else part
-                    is_bytes = isinstance(content, bytes)
-                    digest.update(content if is_bytes else np.asarray(content, float).tobytes())
+                    digest.update(part.encode() if isinstance(part, str) else np.asarray(part).tobytes())
         return digest.hexdigest()[:32]

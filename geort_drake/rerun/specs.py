@@ -1,22 +1,28 @@
-"""Data that a recorder adds to the bodies of a plant. Each kind reads ports and writes Rerun columns."""
+"""What a recorder records: each kind reads ports, and writes Rerun columns."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
+import rerun as rr
 from pydrake.math import RigidTransform
+from pydrake.multibody.plant import ContactResults
 from pydrake.multibody.tree import Frame, RigidBody
-from pydrake.systems.framework import OutputPort, PortDataType
+from pydrake.systems.framework import OutputPort
+from scipy.spatial.transform import Rotation
 
-from geort_drake.colours import SKIN, Color
-from geort_drake.errors import ScenarioError
-from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path
+from geort_drake.colours import FINGER_COLOURS, SKIN, Color, rgb
+from geort_drake.rerun.scene import Scene
+from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path, state_names
+from geort_drake.systems.contacts import contact_rows
 
 # Maps the values (T, m) of ports at T times to the recorded values (T, n).
 Derive = Callable[[np.ndarray], np.ndarray]
+
+_CONTACT_COLOR: Color = (255, 200, 40)
+_ARROWS, _SERIES = f"/{WORLD}/contact/forces", "/contact/force"
 
 
 class Spec:
@@ -24,19 +30,10 @@ class Spec:
 
     The file's layout has views for the kinds of this package and their subclasses, such as a `StateSpec` that
     reads an abstract port; other data are only in the file.
-
-    Attributes:
-        period: shortest time between two rows, s.
     """
 
-    period: float = 0.0
-
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
-        """Returns name of a recorder's input port → output port to read; `plant_port` gives the plant's.
-
-        Raises:
-            ScenarioError: a port does not fit.
-        """
+        """Returns name of a recorder's input port → output port to read; `plant_port` gives the plant's."""
         raise NotImplementedError
 
     def read(self, *values: Any) -> Any:
@@ -47,8 +44,12 @@ class Spec:
         raise NotImplementedError
 
     def write(self, writer: Writer, key: str, rows: Sequence) -> None:
-        """Sends rows, one for each of the writer's times; a row is None if none was due."""
+        """Sends rows, one for each of the writer's times."""
         raise NotImplementedError
+
+    def samples(self, key: str, rows: Sequence) -> dict[str, np.ndarray]:
+        """Returns name of a column → values (T,) or (T, n), for a table of T samples; by default none."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -83,22 +84,6 @@ class SignalSpec(Spec):
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
         ports = [self.port] if isinstance(self.port, OutputPort) else list(self.port)
-        n = len(self.names)
-        size = sum(_vector_size(key, port) for port in ports)
-        if self.derive is not None:
-            shape = np.shape(self.derive(np.zeros((1, size))))
-            if shape != (1, n):
-                raise ScenarioError(
-                    f"recording of '{key}': derive makes {shape} of (1, {size}) values; expected (1, {n}), "
-                    "one per name"
-                )
-        elif size != n:
-            raise ScenarioError(
-                f"recording of '{key}': {port_name(ports[0])} has size {size}, but {n} names; `derive` can "
-                "select elements"
-            )
-        if self.colors is not None and len(self.colors) != n:
-            raise ScenarioError(f"recording of '{key}': {n} names, but {len(self.colors)} colors")
         return {f"{key}/{i}" if len(ports) > 1 else key: port for i, port in enumerate(ports)}
 
     def plots(self, key: str) -> dict[str, tuple[str, list[int]]]:
@@ -124,6 +109,10 @@ class SignalSpec(Spec):
             names = [f"{self.names[i].rpartition('/')[2]} {self.label}".strip() for i in members]
             writer.series(path, names, values[:, members], colors, 1.0 if self.faint else 1.75)
 
+    def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        values = _derived(self.derive, rows, len(self.names))
+        return {_column(key, name): values[:, i] for i, name in enumerate(self.names)}
+
 
 @dataclass(frozen=True)
 class StateSpec(Spec):
@@ -138,7 +127,6 @@ class StateSpec(Spec):
     labels: Sequence[str]
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
-        _vector_size(key, self.port, 1)
         return {key: self.port}
 
     def read(self, value: np.ndarray) -> float:
@@ -146,6 +134,9 @@ class StateSpec(Spec):
 
     def write(self, writer: Writer, key: str, rows: Sequence[float]) -> None:
         writer.states(entity_path(key), rows, self.labels)
+
+    def samples(self, key: str, rows: Sequence[float]) -> dict[str, np.ndarray]:
+        return {f"state.{_column(key)}": np.array(state_names(rows, self.labels))}
 
 
 @dataclass(frozen=True)
@@ -169,16 +160,7 @@ class HandSpec(Spec):
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
         ports = {f"{key}/keypoints": self.keypoints_port, f"{key}/wrist_pose": self.wrist_pose_port}
-        _vector_size(f"{key}/keypoints", self.keypoints_port, 63)
-        value: Any = self.wrist_pose_port.Allocate()
-        if not isinstance(value, Value[RigidTransform]):
-            raise ScenarioError(
-                f"recording of '{key}/wrist_pose': {port_name(self.wrist_pose_port)} gives no RigidTransform"
-            )
-        if self.valid_port is not None:
-            _vector_size(f"{key}/valid", self.valid_port, 1)
-            ports[f"{key}/valid"] = self.valid_port
-        return ports
+        return ports if self.valid_port is None else ports | {f"{key}/valid": self.valid_port}
 
     def read(
         self, keypoints: np.ndarray, X_OH: RigidTransform, valid: np.ndarray | None = None
@@ -214,15 +196,6 @@ class PointsSpec(Spec):
     derive: Derive | None = None
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
-        size = _vector_size(key, self.port)
-        if self.derive is not None:
-            size = np.size(self.derive(np.zeros((1, size))))
-        if not size or size % 3:
-            raise ScenarioError(
-                f"recording of '{key}': {port_name(self.port)} gives {size} numbers, not 3 per point"
-            )
-        if np.ndim(self.color) == 2 and len(self.color) != size // 3:
-            raise ScenarioError(f"recording of '{key}': {size // 3} points, but {len(self.color)} colors")
         return {key: self.port} | ({} if self.frame is None else {"body_poses": plant_port("body_poses")})
 
     def read(
@@ -250,6 +223,113 @@ class PointsSpec(Spec):
 
 
 @dataclass(frozen=True)
+class ContactSpec:
+    """Options for recording contact forces.
+
+    Attributes:
+        groups: name → bodies whose contact forces are summed to one time series, such as the links of a
+            finger: {"thumb": [link_12, ...]}. By default each touched moving body has its own.
+        metres_per_newton: length of the arrows per force, m/N.
+        max_length: largest length of the arrows, m.
+    """
+
+    groups: Mapping[str, Sequence[RigidBody]] | None = None
+    metres_per_newton: float = 0.02
+    max_length: float = 0.25
+
+
+@dataclass(frozen=True)
+class Poses(Spec):
+    """Records the poses X_WB of all moving bodies, in rows (bodies, 3, 4)."""
+
+    scene: Scene
+
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        return {key: plant_port(key)}
+
+    def read(self, body_poses: Sequence[RigidTransform]) -> np.ndarray:
+        return np.array([body_poses[i].GetAsMatrix34() for i in self.scene.moving]).reshape(-1, 3, 4)
+
+    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
+        X_WB = np.reshape(rows, (len(rows), len(self.scene.moving), 3, 4))
+        writer.poses([self.scene.paths[i] for i in self.scene.moving], X_WB)
+
+    def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        X_WB = np.reshape(rows, (len(rows), len(self.scene.moving), 3, 4))
+        columns = {}
+        for number, i in enumerate(self.scene.moving):
+            wxyz = Rotation.from_matrix(X_WB[:, number, :, :3]).as_quat(scalar_first=True)
+            name = self.scene.paths[i].removeprefix(f"/{WORLD}")
+            columns[f"pose.{_column(name)}"] = np.hstack([wxyz, X_WB[:, number, :, 3]])
+        return columns
+
+
+@dataclass(frozen=True)
+class Contacts(Spec):
+    """Records contact forces, in rows from `contact_rows`."""
+
+    scene: Scene
+    options: ContactSpec
+
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        return {key: plant_port(key)}
+
+    def read(self, results: ContactResults) -> np.ndarray:
+        return contact_rows(results, self.scene.body_of_geometry)
+
+    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
+        writer.static(_ARROWS, rr.Arrows3D.from_fields(colors=[_CONTACT_COLOR], radii=[0.0025]))
+        contacts = np.concatenate([np.empty((0, 8)), *rows])
+        counts = np.array([len(row) for row in rows], dtype=int)
+        force = contacts[:, 5:]
+        arrows = self.options.metres_per_newton * force
+        length = np.linalg.norm(arrows, axis=1, keepdims=True)
+        arrows *= np.minimum(1.0, self.options.max_length / np.maximum(length, 1e-12))
+        # One of the two bodies usually hides one of the two arrows.
+        columns = rr.Arrows3D.columns(
+            origins=np.repeat(contacts[:, 2:5], 2, axis=0),
+            vectors=np.stack([arrows, -arrows], axis=1).reshape(-1, 3),
+        )
+        writer.columns(_ARROWS, columns.partition(2 * counts))
+        groups: dict[str, tuple[str, list[int]]] = writer.memory.setdefault(_SERIES, {})
+        for number, (path, (name, total)) in enumerate(self._totals(groups, rows).items()):
+            finger = FINGER_COLOURS.get(name)
+            color = PALETTE[number % len(PALETTE)] if finger is None else rgb(finger)
+            writer.series(path, [name], total[:, None], [color], 1.5)
+
+    def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        return {_column(path): total for path, (_, total) in self._totals({}, rows).items()}
+
+    def _totals(
+        self, groups: dict[str, tuple[str, list[int]]], rows: Sequence[np.ndarray]
+    ) -> dict[str, tuple[str, np.ndarray]]:
+        """Returns entity path → name and sum of forces (T,), N, of each series.
+
+        Args:
+            groups: entity path → name and bodies of the series so far; a body has one from its first contact
+                on.
+        """
+        contacts = np.concatenate([np.empty((0, 8)), *rows])
+        bodies, magnitude = contacts[:, :2].astype(int), np.linalg.norm(contacts[:, 5:], axis=1)
+        sample = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
+        if self.options.groups is not None:
+            for name, members in self.options.groups.items():
+                groups[entity_path(_SERIES, name)] = name, [int(body.index()) for body in members]
+        else:
+            for i in sorted({*bodies.ravel()} & {*self.scene.moving}):
+                path = self.scene.paths[i].removeprefix(f"/{WORLD}")
+                groups.setdefault(_SERIES + path, (path[1:], [i]))
+        totals = {}
+        for path, (name, members) in groups.items():
+            member = np.zeros(len(self.scene.paths), dtype=bool)
+            member[members] = True
+            # Only forces that act on the group from outside count.
+            crossing = member[bodies[:, 0]] != member[bodies[:, 1]]
+            totals[path] = name, np.bincount(sample[crossing], magnitude[crossing], minlength=len(rows))
+        return totals
+
+
+@dataclass(frozen=True)
 class CloseUpSpec:
     """An additional view of the scene that follows a frame.
 
@@ -271,24 +351,12 @@ def body_and_pose(frame: Frame) -> tuple[int, RigidTransform]:
     return int(frame.body().index()), frame.GetFixedPoseInBodyFrame()
 
 
-def port_name(port: OutputPort) -> str:
-    """Names a port and its system in messages."""
-    system: Any = port.get_system()
-    return f"port '{port.get_name()}' of '{system.get_name()}'"
-
-
 def _derived(derive: Derive | None, rows: Sequence[np.ndarray], size: int) -> np.ndarray:
     """Returns the recorded values (T, n) of rows; does not call `derive` without rows."""
     values = np.array(rows, dtype=float)
     return (derive(values) if derive is not None and len(rows) else values).reshape(len(rows), size)
 
 
-def _vector_size(key: str, port: OutputPort, expected: int | None = None) -> int:
-    """Returns the size of a vector port; raises ScenarioError for an abstract port or another size."""
-    if port.get_data_type() != PortDataType.kVectorValued:
-        raise ScenarioError(f"recording of '{key}': {port_name(port)} is abstract; expected a vector port")
-    if expected is not None and port.size() != expected:
-        raise ScenarioError(
-            f"recording of '{key}': {port_name(port)} has size {port.size()}; expected {expected}"
-        )
-    return port.size()
+def _column(*keys: str) -> str:
+    """Returns the name of a table's column for entity paths."""
+    return "/".join(keys).strip("/").replace("/", ".")

@@ -23,6 +23,7 @@ Viewer = rr.GrpcSink | rr.GrpcServerSink
 def file_writer(
     path: str | os.PathLike,
     *,
+    name: str = "",
     application_id: str = _APPLICATION,
     recording_id: str | None = None,
     blueprint: rrb.Blueprint | None = None,
@@ -33,6 +34,9 @@ def file_writer(
 
     The data stay in memory until then. Equal data give equal columns; log times are left out. With the
     environment variable RERUN=off no file is written, and a warning says so.
+
+    Args:
+        name: name of the recording in the viewer; by default that of the file.
 
     Raises:
         OutputError: the disk is full, or the folder is not writable.
@@ -48,7 +52,7 @@ def file_writer(
     try:
         if blueprint is not None:
             stream.send_blueprint(blueprint, make_active=False)
-        _send_properties(stream, path.stem, properties or {})
+        _send_properties(stream, name or path.stem, properties or {})
         yield Writer(stream, timeline)
         with atomic_path(path) as draft:
             draft.write_bytes(recording.drain_as_bytes())

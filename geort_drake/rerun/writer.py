@@ -18,6 +18,7 @@ TIMELINE = "sim_time"  # s
 STEPS = "step"  # steps of a training
 FLUSH_TIMEOUT = 5.0  # s; a viewer that was closed must not block the simulation
 WORLD = "world"
+ABOUT = "/about"  # entity of a text that explains the recording
 HAND_FRAME = "wrist"  # entity below a human hand with the pose of its wrist frame
 SOLID, CAGE = rr.components.FillMode.Solid, rr.components.FillMode.MajorWireframe
 # Matplotlib's "tab10", which colour-blind readers can tell apart as well.
@@ -115,7 +116,7 @@ class Writer:
         names = list(labels)
         shades = [colors[i % len(colors)] for i in range(len(names))]
         self.static(path, rr.StateConfiguration(values=names, labels=names, colors=shades))
-        states = [names[int(c)] if 0 <= c < len(names) else f"code {c:g}" for c in codes]
+        states = state_names(codes, names)
         before = [self.memory.get(path), *states]
         changes = np.array([i for i, state in enumerate(states) if state != before[i]], dtype=int)
         self.columns(path, rr.StateChange.columns(state=[states[i] for i in changes]), changes)
@@ -211,6 +212,11 @@ class Writer:
     def _column(self, times: np.ndarray) -> rr.TimeColumn:
         kind = "sequence" if np.issubdtype(times.dtype, np.integer) else "duration"
         return rr.TimeColumn(self._timeline, **{kind: times})
+
+
+def state_names(codes: Sequence[float] | np.ndarray, labels: Sequence[str]) -> list[str]:
+    """Returns the labels of codes (T,); a code without one shows as a number."""
+    return [labels[int(code)] if 0 <= code < len(labels) else f"code {code:g}" for code in codes]
 
 
 def transform(X: RigidTransform) -> rr.Transform3D:

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -37,6 +38,24 @@ HUMAN = "human"  # key of the person's hand
 _FINGERS, _ANGLES, _TORQUES = "fingers", "joint angles", "joint torques"
 _SEEN_COLOR, _PATH_COLOR = (255, 255, 255, 110), (235, 235, 235)
 _HUMAN_HAND_LENGTH = 0.18  # m
+_TEXT = """\
+# {title}
+
+| | |
+|---|---|
+| task | {task} |
+| method | {method} |
+| robot hand | {hand} |
+| seed | {seed} |
+| outcome | **{outcome}** |
+
+**Scene.** Translucent coloured spheres are the fingertips' targets; the robot's fingertips are inside of them
+while they follow. Yellow arrows are contact forces, and white dots are the path of the object.{person}
+
+**Below.** Phases of the task, and plots on tabs: fingers, joint angles (pale: commanded, strong: measured)
+and joint torques.
+"""
+_SEEN = " Grey spheres are what the simulated person sees, {delay:.0f} ms late."
 _PACKAGES = {"drake": "drake", "rerun": "rerun-sdk", "numpy": "numpy", "torch": "torch"}
 
 
@@ -142,6 +161,7 @@ def add_grasp_recorder(
         close_ups=_close_ups(plant, description, stage.bodies, fingertips),
         # From the thumb's side, where nothing hides what the hand holds.
         view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
+        text=trial_text(scenario, properties, "unknown: the trial did not end"),
         properties={
             "hand": description.name,
             "object": find_task(scenario.task).case_of(scenario),
@@ -151,6 +171,25 @@ def add_grasp_recorder(
             **{name: version_of(package) for name, package in _PACKAGES.items()},
             **properties,
         },
+    )
+
+
+def trial_text(scenario: Scenario, properties: Mapping[str, object], outcome: str) -> str:
+    """Returns the Markdown of the panel that says what a trial's recording shows.
+
+    Args:
+        properties: properties of the recording, of which `method` is shown.
+        outcome: how the trial ended, and when.
+    """
+    case = find_task(scenario.task).case_of(scenario)
+    return _TEXT.format(
+        title=f"{case.replace('_', ' ')}: {outcome.partition(',')[0]}",
+        task=scenario.task,
+        method=properties.get("method", "unknown"),
+        hand=Path(scenario.hand).stem,
+        seed=scenario.random_seed,
+        outcome=outcome,
+        person=_SEEN.format(delay=1e3 * scenario.operator.visual_delay),
     )
 
 
