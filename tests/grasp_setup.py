@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
 from geort_drake import HandModel, Recording, load_scenario, run_trial, synthesize_play
+from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
@@ -49,7 +50,7 @@ def person_who_plays() -> HumanHand:
 def centred_map(hand: HandModel | None = None) -> AffineIK:
     """The affine map of each fingertip with a known gain, for a robot hand, by default the Allegro."""
     hand = hand or allegro()
-    retarget = AffineIK(hand.kinematics(), play().fingertips(hand.description.human_keypoints))
+    retarget = AffineIK(canonical_kinematics(hand), play().fingertips(hand.description.human_keypoints))
     retarget.gain = GAIN
     return retarget
 

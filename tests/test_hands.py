@@ -62,7 +62,7 @@ def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
         HandModel(load()).kinematics()
 
 
-DIGESTS = ["800cb801fb4a12d0", "06a693eef3b0f675", "59d2d7f8cb1425a2"]
+DIGESTS = ["9bb76b37a45136d0", "06a693eef3b0f675", "59d2d7f8cb1425a2"]
 
 
 @pytest.mark.parametrize(("name", "digest"), [*zip(SHIPPED_HANDS, DIGESTS, strict=True)])
@@ -77,16 +77,38 @@ def test_shipped_hands_start_free_and_pinch(name, digest):
 
 def test_a_mirrored_left_hand_equals_the_right_one(allegro, allegro_left, rng):
     """In the mirror, limits, kinematics, wrist and collision shapes of a left hand are those of the right."""
-    for name in ("joint_names", "lower", "upper"):
+    for name in ("lower", "upper"):
         np.testing.assert_array_equal(getattr(allegro_left, name), getattr(allegro, name))
-    q = torch.tensor(_uniform(allegro, rng, 20))
+    q = _uniform(allegro, rng, 20)
+    # In the manufacturer's left hand, spread joints turn about the same axis as in the right one.
+    opposite = np.where(np.isin(allegro_left.joint_names, ["joint_0", "joint_4", "joint_8"]), -1, 1)
+    tips = allegro_left.fingertips(opposite * q) * [1, -1, 1]
+    np.testing.assert_allclose(tips, allegro.fingertips(q), atol=1e-9)
     ours, theirs = allegro_left.kinematics().mirrored(), allegro.kinematics()
-    torch.testing.assert_close(ours.fingertips(q), theirs.fingertips(q), rtol=0, atol=1e-9)
     np.testing.assert_allclose(ours.p_BW, theirs.p_BW, atol=1e-12)
     ours, theirs = collision_shapes(allegro_left).mirrored(), collision_shapes(allegro)
     for field in ("joint", "half", "radius", "pairs"):
         np.testing.assert_array_equal(getattr(ours, field), getattr(theirs, field))
     np.testing.assert_allclose(ours.X_JS, theirs.X_JS, atol=1e-12)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_allegro_has_the_manufacturers_numbers_and_signs(side):
+    """Joints 0 to 3 are at y = 43.5 mm: the right hand's index finger, and the left hand's ring finger.
+
+    All spread joints turn about +z. From Wonik's descriptions of the hands.
+    """
+    hand = HandModel(f"allegro_{side}")
+    context = hand.plant.CreateDefaultContext()
+    fingers = {joint: finger.name for finger in hand.description.fingers for joint in finger.joints}
+    names = ["index", "middle", "ring"] if side == "right" else ["ring", "middle", "index"]
+    joints, places = ("joint_0", "joint_4", "joint_8"), (0.0435, 0.0, -0.0435)
+    for name, finger, y in zip(joints, names, places, strict=True):
+        joint = hand.plant.GetJointByName(name)
+        X_BJ = joint.frame_on_parent().CalcPoseInWorld(context)  # the base is welded to the world
+        assert fingers[name] == finger
+        assert X_BJ.translation()[1] == pytest.approx(y, abs=1e-4)
+        assert (X_BJ.rotation() @ joint.revolute_axis())[2] > 0.99
 
 
 def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):

@@ -109,7 +109,12 @@ def test_links_of_the_left_allegro_are_those_of_the_right_one_mirrored(allegro, 
     mirror = np.diag([1.0, -1.0, 1.0])
     for index in allegro.plant.GetBodyIndices(allegro.instance):
         right = allegro.plant.get_body(index)
-        left = allegro_left.plant.GetBodyByName(right.name())
+        number = right.name().removeprefix("link_")
+        if number.isdigit() and int(number) < 12:  # the left hand's fingers are numbered the other way
+            number = 8 - 4 * (int(number) // 4) + int(number) % 4
+            left = allegro_left.plant.GetBodyByName(f"link_{number}")
+        else:
+            left = allegro_left.plant.GetBodyByName(right.name())
         assert left.default_mass() == right.default_mass()
         np.testing.assert_allclose(left.default_com(), mirror @ right.default_com(), atol=1e-9)
         inertias = (body.default_spatial_inertia().CalcRotationalInertia() for body in (left, right))
