@@ -1,5 +1,7 @@
 """From a model file to a hand description, its notes and checks, and to training and simulation."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -30,6 +32,7 @@ from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.retargeting.collision import CollisionGaps
+from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
@@ -83,12 +86,12 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
     coupled = HandModel(propose(write_hand(tmp_path, HandSpec(4, kind))).description)
     q = rng.uniform(coupled.lower, coupled.upper, (40, len(coupled.joint_names)))
     p_BF, kinematics = coupled.fingertips(q), coupled.kinematics()
-    np.testing.assert_allclose(kinematics.fingertips(torch.tensor(q)), p_BF, atol=1e-12)
+    np.testing.assert_allclose(fingertips(kinematics, torch.tensor(q)), p_BF, atol=1e-12)
     found, J = NumpyKinematics(kinematics).fingertips_and_jacobians(q)
     np.testing.assert_allclose(found, p_BF, atol=1e-12)
-    by_torch = torch.autograd.functional.jacobian(kinematics.fingertips, torch.tensor(q[0]))
+    by_torch = torch.autograd.functional.jacobian(partial(fingertips, kinematics), torch.tensor(q[0]))
     np.testing.assert_allclose(J[0], by_torch, atol=1e-12)
-    mirrored = kinematics.mirrored().fingertips(torch.tensor(q))
+    mirrored = fingertips(kinematics.mirrored(), torch.tensor(q))
     np.testing.assert_allclose(mirrored, p_BF * [1, -1, 1], atol=1e-12)
 
     gaps = CollisionGaps(kinematics, collision_shapes(coupled))

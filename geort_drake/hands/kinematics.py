@@ -1,8 +1,6 @@
 """A hand's fingers as serial chains, and its collision shapes, as plain arrays."""
 
-import importlib
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -70,11 +68,6 @@ class HandKinematics:
     @property
     def finger_names(self) -> tuple[str, ...]:
         return tuple(finger.name for finger in self.fingers)
-
-    def fingertips(self, q: Any) -> Any:
-        """Computes fingertips of torch tensors, see `retargeting.kinematics.fingertips`."""
-        torch_kinematics = importlib.import_module("geort_drake.retargeting.kinematics")
-        return torch_kinematics.fingertips(self, q)
 
     def joint_poses(self, q: np.ndarray) -> np.ndarray:
         """Returns (N, n, 4, 4) poses X_BJ, m, of the joints' moving frames at joint angles q (N, n), rad.
