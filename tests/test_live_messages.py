@@ -189,6 +189,16 @@ def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refuse
         device.decode_status(device.encode_status(0.0, np.zeros(n + 1), np.zeros(n + 1)))
 
 
+def test_the_fingers_of_a_real_allegro_get_their_own_joints():
+    """The maker counts from the index finger of a right hand, but from the ring finger of a left one."""
+    for side, index in (("right", range(0, 4)), ("left", range(8, 12))):
+        hand = load_hand(f"allegro_{side}")
+        (finger,) = (finger for finger in hand.fingers if finger.name == "index")
+        q = {name: float(name in finger.joints) for name in hand.joint_names}
+        command = ALLEGRO.encode_command(0.0, [q[name] for name in ALLEGRO.joints])
+        assert list(np.flatnonzero(lcmt_allegro_command.decode(command).joint_position)) == [*index], side
+
+
 TARGETS = JointTargets(7, 12.5, ["a", "b"], np.array([0.1, 1 / 3]), np.array([-1.0, 2.0]), True, 0.1)
 STATE = JointState(8, 1.5, ["a", "b"], np.array([0.1, 1 / 3]), np.array([0.0, 2.0]), "")
 

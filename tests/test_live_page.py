@@ -26,7 +26,7 @@ from live_page import (
 from PIL import Image
 
 from geort_drake.live.web.hands import HandReader
-from geort_drake.live.web.messages import decode
+from geort_drake.live.web.messages import Pointer, decode
 from geort_drake.live.web.server import WebServer
 from geort_drake.people.formats import KEYPOINTS_OF_25
 from geort_drake.people.keypoints import BONES
@@ -167,7 +167,7 @@ def test_headset_sends_the_robots_side_in_order(headset, stub, address, rng):
     page.wait_for_selector("body[data-state=tracking]")
     page.evaluate("hands => play(hands)", {"left": left})
     page.wait_for_selector("body[data-state=waiting]")
-    assert "your left hand" in page.inner_text("#headline")
+    until(page, lambda: "your left hand" in page.inner_text("#headline"))
     until(page, lambda: stub.messages[-1]["type"] == "lost")
     assert stub.of("hello")[-1]["device"] == "headset"
     np.testing.assert_allclose(stub.of("headset")[-1]["joints"], right, atol=1e-5)
@@ -195,7 +195,7 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
     page.wait_for_selector("body[data-state=tracking]")
     stub.welcome(robot="real")
     until(page, lambda: page.inner_text("#connection") == "Real robot")
-    assert "fist" not in page.inner_text("#headline")
+    until(page, lambda: "The real robot will move" in page.inner_text("#headline"))
     for answer in ("cancel", "engage"):
         assert not stub.of("engage")
         page.keyboard.press(" ")
@@ -292,23 +292,53 @@ def test_a_camera_that_stops_or_comes_too_late_is_left_in_words(browser, stub, a
     assert page.inner_text("#camera") == "Use the camera"
 
 
+def test_the_mouse_moves_a_hand_and_the_state_is_told_without_contradictions(browser, stub, address):
+    """Where it is over the view, and the grip that keys choose and the button closes."""
+    page = open_page(browser, stub, f"{address}/#key", NO_PICTURES)
+    page.wait_for_selector("body[data-state=waiting]")
+    page.click("#pointer")
+    page.wait_for_selector("body[data-state=tracking]")
+    assert stub.of("hello")[-1]["device"] == "pointer"
+    box = page.locator("#view").bounding_box()
+    page.keyboard.press("2")
+    page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + 0.4 * box["height"])
+    page.mouse.down()
+    until(page, lambda: (seen := stub.of("pointer")) and seen[-1]["closed"])
+    last = stub.of("pointer")[-1]
+    assert (last["grip"], last["x"], last["y"]) == (
+        "middle",
+        pytest.approx(0.5, abs=0.02),
+        pytest.approx(-0.2, abs=0.02),
+    )
+    assert isinstance(decode(json.dumps(last)), Pointer)
+    page.mouse.up()
+    for state, words in (
+        ({"following": True, "status": "tracking"}, "Move your hand; the robot copies it."),
+        ({"following": True, "status": "arm held: the wrist is too fast"}, "The arm waits"),
+        ({"status": "held: the glove lost the hand", "slow": True}, "This computer is too slow."),
+        ({"status": "held: no newer keypoints; messages arrive but are refused: too far"}, "Too far."),
+    ):
+        stub.send(engaged=True, **state)
+        until(page, lambda words=words: words in page.inner_text("#headline"))
+
+
 def test_panel_and_keys(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key", NO_PICTURES)
     page.wait_for_selector("body[data-state=waiting]")
-    assert "Hold up your right hand" in page.inner_text("#headline")
+    until(page, lambda: "Hold up your right hand" in page.inner_text("#headline"))
     assert page.is_disabled("#engage")
 
     stub.send(engaged=True, following=False)
     page.wait_for_selector("body[data-state=lost]")
-    assert "The robot holds until" in page.inner_text("#headline")
+    until(page, lambda: "The robot holds until" in page.inner_text("#headline"))
     page.keyboard.press("r")
     page.select_option("#object", "sphere")
     page.select_option("#task-name", "keys")
-    until(page, lambda: "starts again" in page.inner_text("#headline"))
+    until(page, lambda: "Setting up" in page.inner_text("#headline"))
     cue = {"phase": "key 2", "score": 0.1, "seconds": None, "over": False, "success": False}
     stub.send(scene=2, task="keys", object="keys", outcome=cue, engaged=True, following=True)
     page.wait_for_selector("#object", state="hidden")
-    assert "starts again" not in page.inner_text("#headline")
+    until(page, lambda: "Setting up" not in page.inner_text("#headline"))
     assert "Key 2" in page.inner_text("#task")
     assert page.inner_text("#purpose") == "Press a key"
     page.focus("#reset")
@@ -323,9 +353,16 @@ def test_panel_and_keys(browser, stub, address):
     until(page, lambda: stub.of("record"))
     assert len(stub.of("disengage")) == 1
     outcome = {"phase": "done", "score": 1.0, "seconds": 21.0, "over": True, "success": True}
-    stub.send(outcome=outcome, recording="session.npz")
+    stub.send(scene=2, outcome=outcome, recording="session.npz")
     page.wait_for_selector("body[data-recording]")
     assert "Done" in page.inner_text("#task")
+    assert page.inner_text("#result-title") == "Done in 21.0 s"
+    assert page.inner_text("#best") == "21.0 s (now)"
+    stub.send(scene=3)
+    stub.send(scene=3, outcome=outcome | {"seconds": 17.5})
+    until(page, lambda: page.inner_text("#best").split("\n") == ["17.5 s (now)", "21.0 s"])
+    stub.send(scene=3, outcome=outcome | {"success": False, "score": 0.4, "seconds": None})
+    until(page, lambda: "40 % of the way" in page.inner_text("#result-words"))
     assert stub.of("record") == [{"type": "record", "keep": True}]
 
     stub.welcome(side="left")

@@ -16,6 +16,7 @@ from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
 from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.live.web.operator_station import is_fist
+from geort_drake.live.web.virtual_hands import RecordedHand
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING
@@ -75,6 +76,42 @@ def test_the_first_answer_tells_of_which_side_the_robot_is(side):
         operated.take(1, headset(number, p_WK=in_world(number, side)))
     (hand,) = operated.drain()
     np.testing.assert_allclose(decode_glove(hand, side).p_HK, PLAY.p_HK[HANDSHAKE_FRAMES], atol=1e-6)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_the_mouse_moves_a_hand_that_pinches_as_people_do(side):
+    """The wrist follows within a hand's speed, and each grip closes its own fingers on the thumb."""
+    for grip, tip in (("index", 8), ("middle", 12), ("ring", 16), ("little", 20), ("hand", 12)):
+        operated = station(side=side)
+        operated.take(1, hello(side=side, device="pointer"))
+        frames = []
+        for i in range(60):
+            pointer = {"t": i / 30, "x": 0.5, "y": -1.0, "z": 0.0, "grip": grip, "closed": i >= 15}
+            operated.take(1, json.dumps({"type": "pointer", **pointer}))
+            frames += [decode_glove(hand, side) for hand in operated.drain()]
+        p_HK, p_WH = np.array([f.p_HK for f in frames]), np.array([f.X_WH[4:] for f in frames])
+        gap = np.linalg.norm(p_HK[:, 4] - p_HK[:, tip], axis=1)
+        assert gap[10] > 0.06 and gap[-1] < 0.02, grip
+        assert np.abs(np.diff(p_HK, axis=0)).max() * 30 < 0.8
+        np.testing.assert_allclose(p_WH[-1], [0.0, -0.15 if side == "right" else 0.15, 0.25], atol=0.01)
+        assert not operated.fist and not operated.commands
+
+
+def test_a_recorded_hand_plays_itself():
+    """Over and over, at the pace of the clock, without messages from the page."""
+    operated = station()
+    operated._play = lambda: RecordedHand(PLAY)
+    operated.take(1, hello(device="recording"))
+    frames = []
+    for _ in range(500):
+        operated._clock.now += 0.02
+        frames += [decode_glove(hand, "right") for hand in operated.drain()]
+    assert len(frames) == 500
+    p_HK = np.array([frame.p_HK for frame in frames])
+    period = round((PLAY.t[-1] - PLAY.t[0] + 1 / 30) / 0.02)
+    np.testing.assert_allclose(p_HK[period : 2 * period - 300], p_HK[: period - 300], atol=0.01)
+    operated.leave(1)
+    assert operated.p_HK is None
 
 
 def test_one_person_operates_and_others_look_on():

@@ -8,7 +8,7 @@ from pathlib import Path
 from geort_drake.cli.live_session import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
 from geort_drake.cli.options import command, finish, write_json
 from geort_drake.console import console
-from geort_drake.errors import UsageError
+from geort_drake.errors import GeortError, UsageError
 from geort_drake.files import require_writable
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.robot_buses import open_bus
@@ -18,6 +18,9 @@ from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import find_page, open_server
 from geort_drake.live.web.session import WebTeleoperation
+from geort_drake.live.web.virtual_hands import RecordedHand
+from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
@@ -58,9 +61,10 @@ def run_web(
             tasks[name], instructions[name] = task.cases(), task.summary
     robot = "real" if address else "simulation"
     about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
-    station = OperatorStation(about)
+    folder = arguments.record or _RECORDINGS
+    station = OperatorStation(about, play=lambda: RecordedHand(_recorded_hand(folder, description.side)))
     with open_server(station, page, arguments.host, arguments.port, not arguments.no_open) as server:
-        control = PageControl(station, server.publish, arguments.record or _RECORDINGS)
+        control = PageControl(station, server.publish, folder)
         teleoperation = WebTeleoperation(
             scenarios,
             description,
@@ -96,6 +100,18 @@ def run_web(
         finish({"Recording": last}, command("grasp", "--replay", last))
     write_json(arguments.json, summary)
     return 0
+
+
+def _recorded_hand(folder: Path, side: str) -> Recording:
+    """Returns the newest recording of a hand of this side in the page's folder, or synthetic play."""
+    for path in sorted(folder.glob("*.npz"), reverse=True):
+        try:
+            recording = Recording.load(path)
+        except GeortError:
+            continue
+        if recording.side == side and recording.valid.any():
+            return recording
+    return synthesize_play(seed=0, side=side, duration_s=60.0)
 
 
 def _like(scenario: Scenario, task: Task) -> Scenario:

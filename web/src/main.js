@@ -4,7 +4,11 @@ import { Camera } from "./camera.js";
 import { Connection } from "./connection.js";
 import { Headset, headsetMode } from "./headset.js";
 import { show, showTasks } from "./panel.js";
+import { Pointer } from "./pointer.js";
+import { Replay } from "./replay.js";
+import { best, remember } from "./times.js";
 import { View } from "./view.js";
+import { Steady } from "./words.js";
 
 const VERSION = 1;
 // How long the page shows why a request was refused.
@@ -29,6 +33,8 @@ const model = {
   refusal: "",
   leaving: null,
   hand: UNSEEN,
+  best: [],
+  grip: "hand",
 };
 if (!document.createElement("canvas").getContext("webgl2")) {
   element("no-webgl").hidden = false;
@@ -37,8 +43,11 @@ if (!document.createElement("canvas").getContext("webgl2")) {
 const view = new View(element("view"));
 let scene = null;
 
+const replay = new Replay(view);
+const steady = new Steady(refresh);
+
 function refresh() {
-  const { headline, detail } = show(model);
+  const { headline, detail } = show(model, steady);
   view.setWords(headline, detail);
 }
 
@@ -53,7 +62,11 @@ const connection = new Connection({
     else if (message.type === "refused") receiveRefusal(message);
     refresh();
   },
-  onPoses: (values) => scene !== null && view.setPoses(values),
+  onPoses(values) {
+    if (scene === null || replay.running) return;
+    view.setPoses(values);
+    if (model.state?.engaged && !model.state.outcome?.over) replay.add(values);
+  },
 });
 
 function hello() {
@@ -86,11 +99,15 @@ function receiveRefusal({ text }) {
 }
 
 function receiveState(state) {
+  const over = state.outcome?.over && !model.state?.outcome?.over && state.scene === model.state?.scene;
   model.state = state;
+  if (over && state.outcome.success) remember(model.welcome.hand, state);
+  model.best = best(model.welcome.hand, state);
   view.highlight(cuedBody(state.outcome?.phase));
   if (state.scene === scene) return;
   scene = state.scene;
   model.leaving = null;
+  replay.clear();
   fetch("scene")
     .then((response) => response.json())
     .then((description) => view.load(description));
@@ -130,8 +147,15 @@ const headset = new Headset(
   () => stopUsing(),
 );
 
+const pointer = new Pointer(element("view"), ({ t, ...fields }) => {
+  model.grip = fields.grip;
+  receiveHand(t, fields, { side: model.welcome?.side, score: 1, delay: 0 });
+});
+
 function stopUsing(failure = "") {
   camera.stop();
+  pointer.stop();
+  view.controls.enabled = true;
   if (model.hand.usable) receiveHand(performance.now() / 1000, null);
   Object.assign(model, { device: null, failure, hand: UNSEEN });
   refresh();
@@ -147,6 +171,18 @@ async function use(device, start) {
   refresh();
   await start().catch(({ name, message }) => stopUsing(`The ${device} cannot be used: ${REASONS[name] ?? message}.`));
 }
+
+element("pointer").onclick = () =>
+  use("pointer", async () => {
+    view.controls.enabled = false;
+    pointer.start();
+  });
+// The server plays the recording.
+element("recording-hand").onclick = () =>
+  use("recording", async () => {
+    model.hand = { ...UNSEEN, seen: true, side: model.welcome?.side, score: 1, rate: 60 };
+    refresh();
+  });
 
 const useCamera = () => use("camera", () => camera.start());
 element("camera").onclick = useCamera;
@@ -206,6 +242,24 @@ element("object").onchange = ({ target }) => {
 element("keep").onchange = refresh;
 element("record").onclick = () =>
   connection.send(model.state?.recording ? { type: "stop" } : { type: "record", keep: true });
+
+for (const button of document.querySelectorAll("[data-view]"))
+  button.onclick = () => {
+    view.look(button.dataset.view);
+    for (const each of document.querySelectorAll("[data-view]")) each.ariaPressed = String(each === button);
+  };
+element("reset-view").onclick = () => view.look();
+element("again").onclick = () => reset();
+element("watch").onclick = () => replay.play();
+element("clip").onclick = async ({ target }) => {
+  target.disabled = true;
+  const file = await replay.film();
+  target.disabled = false;
+  if (!file) return;
+  const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: file.name });
+  link.click();
+  URL.revokeObjectURL(link.href);
+};
 
 // Browsers that block cookies throw at any use of the storage; then the length is not remembered.
 try {

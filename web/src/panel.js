@@ -5,13 +5,17 @@ import { quality, situation } from "./words.js";
 // Steps of the tasks that have some; others show what to do now.
 const STEPS = { grasp: ["reach", "touch", "grasp", "lift", "hold"] };
 const END = { thrown: "Thrown" };
-const IN_HEADSET = "The robot is in your headset.";
+const DEVICE_WORDS = {
+  headset: "The robot is in your headset.",
+  pointer: "The mouse moves the coloured hand.",
+  recording: "A recorded hand moves; without one, a synthetic hand at play.",
+};
 const element = (id) => document.getElementById(id);
 
-/** Shows a `Model`; returns its situation. */
-export function show(model) {
+/** Shows a `Model`; returns the situation that it shows. */
+export function show(model, steady) {
   const { welcome, state, hand, device, failure } = model;
-  const now = situation(model);
+  const now = steady.step(situation(model), Boolean(state?.engaged));
   const { body } = document;
   body.dataset.state = now.name;
   body.toggleAttribute("data-engaged", Boolean(state?.engaged));
@@ -24,11 +28,16 @@ export function show(model) {
 
   element("start").hidden = device === "camera";
   element("mirror").hidden = device !== "camera";
-  write("start-words", failure || (device === "headset" ? IN_HEADSET : element("start").dataset.words));
+  write("start-words", failure || DEVICE_WORDS[device] || element("start").dataset.words);
+  write("pointer", device === "pointer" ? "Stop using the mouse" : "Use the mouse");
+  write("recording-hand", device === "recording" ? "Stop the recorded hand" : "Play a recorded hand");
+  element("start").dataset.device = device ?? "";
+  element("pointer-words").hidden = device !== "pointer";
+  write("grip", `Now: ${model.grip === "hand" ? "whole hand" : model.grip}.`);
   write("camera", device === "camera" ? "Stop the camera" : "Use the camera");
   write("headset", device === "headset" ? "Leave headset" : "Use the headset");
   element("camera").classList.toggle("primary", device === null);
-  const { value, words } = quality(hand);
+  const { value, words } = quality(model);
   element("quality").value = value;
   write("quality-words", words);
   const delay = hand.delay + (state?.delay.median ?? NaN);
@@ -55,6 +64,7 @@ export function show(model) {
   write("counts", state ? counts(state) : "");
 
   showTask(state);
+  showResult(state, model.best);
   return now;
 }
 
@@ -96,9 +106,25 @@ function showTask(state) {
   element("phases").replaceChildren(...items);
 }
 
+function showResult(state, times) {
+  const outcome = state?.outcome;
+  element("result").hidden = !outcome?.over;
+  if (!outcome?.over) return;
+  const { success, seconds, score } = outcome;
+  element("result").dataset.outcome = success ? "success" : "failure";
+  write("result-title", success ? `Done in ${seconds.toFixed(1)} s` : "Not this time");
+  write("result-words", success ? "Your best times here:" : `You came ${Math.round(100 * score)} % of the way.`);
+  const items = success ? times.map((time) => `${time.toFixed(1)} s${time === seconds ? " (now)" : ""}`) : [];
+  if (items.join() === Array.from(element("best").children, ({ textContent }) => textContent).join()) return;
+  element("best").replaceChildren(
+    ...items.map((textContent) => Object.assign(document.createElement("li"), { textContent })),
+  );
+}
+
 function counts({ received, late, refused, spectators }) {
   const watching = spectators ? ` · ${spectators} watching` : "";
-  return `${received} hands, ${late} late, ${refused} refused${watching}`;
+  const faults = late + refused ? `, ${late} too late, ${refused} not usable` : "";
+  return `${received} pictures of your hand used${faults}${watching}`;
 }
 
 /** Writes only what has changed, as screen readers read every change. */

@@ -47,6 +47,7 @@ export class View {
     this.scene.add(this.headsetHand, this.sign);
     this.bodies = [];
     this.target = new THREE.Vector3();
+    this.view = "overview";
 
     new ResizeObserver(() => this.#resize()).observe(canvas);
     this.controls.addEventListener("change", () => (this.stale = true));
@@ -63,14 +64,24 @@ export class View {
     if (this.description !== description) return;
     for (const { moving, mesh } of meshes) (this.bodies[moving] ?? this.world).add(mesh);
     this.highlighted = undefined;
-    const { eye, target } = description.camera;
     this.world.updateMatrixWorld();
-    this.target.set(...target).applyMatrix4(WORLD);
-    this.controls.target.copy(this.target);
-    this.camera.position.set(...eye).applyMatrix4(WORLD);
-    this.controls.update();
+    this.look();
     this.sun.position.copy(this.target).add(new THREE.Vector3(-0.7, 1.6, 0.9));
     this.sun.target.position.copy(this.target);
+    this.stale = true;
+  }
+
+  /** Looks at the scene from one of its views, which stays chosen in later scenes. */
+  look(name = this.view) {
+    this.view = name;
+    if (!this.description) return;
+    const { eye, target } = this.description.views[name];
+    this.target.set(...target).applyMatrix4(WORLD);
+    this.controls.target.copy(this.target);
+    // A picture that is higher than wide shows as much from farther away.
+    const far = Math.max(1, 1 / this.camera.aspect);
+    this.camera.position.set(...eye).applyMatrix4(WORLD).sub(this.target).multiplyScalar(far).add(this.target);
+    this.controls.update();
     this.stale = true;
   }
 
@@ -145,7 +156,7 @@ export class View {
 
   /** Returns the vector from the robot's hand to the person's, in W: to the right in the first picture. */
   #toHand() {
-    const { eye, target } = this.description.camera;
+    const { eye, target } = this.description.views.overview;
     const ahead = new THREE.Vector3(...target).sub(new THREE.Vector3(...eye));
     const distance = Math.min(HAND_DISTANCE, HAND_DISTANCE_SHARE * ahead.length());
     return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(distance);

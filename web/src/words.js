@@ -5,7 +5,7 @@
  * @property {boolean} connected
  * @property {object | null} welcome the server's last message of this type
  * @property {object | null} state the server's last message of this type
- * @property {"camera" | "headset" | null} device
+ * @property {"camera" | "headset" | "pointer" | "recording" | null} device
  * @property {string} failure why the device cannot be used, or ""
  * @property {string} refusal of the last message, or ""
  * @property {number | null} leaving number of the scene that a reset ends, until the next one is there
@@ -28,45 +28,100 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
     return state?.operator === false
       ? say("waiting", "Nobody has the controls", "Take them to move the robot.")
       : say("waiting", "You are watching", "Another page has the controls.");
-  if (leaving !== null) return say("waiting", "The scene starts again", "The robot holds until it is there.");
+  if (leaving !== null) return say("waiting", "Setting up", "The robot holds until the new scene is there.");
+  const virtual = device === "pointer" || device === "recording";
   const wrong = hand.seen && hand.side !== side;
   const seen = hand.seen && !wrong;
-  if (state?.engaged && !seen)
-    return say("lost", "Hand lost", `The robot holds until it sees your ${side} hand again.`);
-  if (state?.outcome?.over)
-    return state.outcome.success
-      ? say(state.engaged ? "engaged" : "tracking", "Done", "Reset for another try.")
-      : say(state.engaged ? "engaged" : "tracking", "Not this time", "Reset to try again.");
-  if (state?.engaged && state.fist > 0)
-    return say("engaged", "Keep the fist to stop", "The robot holds when the ring is full.");
-  if (state?.engaged)
-    return state.following
-      ? say("engaged", "The robot follows your hand", refusal || sentence(state.status, device))
-      : say("engaged", "The robot holds", refusal || sentence(state.status, device));
-  if (!device) return say("waiting", `Hold up your ${side} hand`, "Start the camera or the headset first.");
+  const { engaged, following, outcome } = state ?? {};
+  if (outcome?.over)
+    return outcome.success
+      ? say(engaged ? "engaged" : "tracking", "Done", "Press Reset for another try.")
+      : say(engaged ? "engaged" : "tracking", "Not this time", "Press Reset to try again.");
+  if (engaged && !seen) return say("lost", "Hand lost", `The robot holds until it sees your ${side} hand again.`);
+  if (engaged && !following && state.slow) return say("engaged", "The robot waits", SLOW);
+  if (engaged && state.fist > 0) return say("engaged", "Keep the fist to stop", "The robot holds when the ring is full.");
+  if (engaged)
+    return following
+      ? say("engaged", "The robot follows your hand", refusal || (state.slow ? SLOW : plain(state.status)))
+      : say("engaged", "The robot waits", refusal || plain(state.status));
+  if (!device) return say("waiting", `Hold up your ${side} hand`, "Start the camera, or choose another way below it.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
   if (!seen) return say("waiting", `Hold up your ${side} hand`, "The whole hand, with the palm to the camera.");
   if (refusal) return say("tracking", "Not yet", refusal);
   if (welcome.robot === "real") return say("tracking", "Press Engage to take control", "The real robot will move.");
+  if (virtual) return say("tracking", "Press Engage to begin", "The robot then copies the coloured hand.");
   return state?.fist > 0
     ? say("tracking", "Keep the fist", "The robot follows when the ring is full.")
     : say("tracking", "Hold a fist to take control", "Or press Engage. The robot moves as your hand does.");
 }
 
+const SLOW =
+  "This computer is too slow. Close other programs and tabs, or make this window smaller.";
+
 const say = (name, headline, detail) => ({ name, headline, detail });
 
-/** The state as a sentence; what the server calls a glove is the device. */
-function sentence(status, device) {
-  const words = status?.replaceAll("`", "").replaceAll("the glove", `the ${device ?? "page"}`);
-  return words ? `${words[0].toUpperCase()}${words.slice(1)}.` : "";
+/** What the server's states mean to a person; the first entry whose words a state begins with counts. */
+const PLAIN = [
+  ["tracking", "Move your hand; the robot copies it."],
+  ["limited", "Move your hand; the robot copies it."],
+  ["unusual", "Move your hand; the robot copies it."],
+  ["outside", "Your fingers are where the robot's cannot follow exactly."],
+  ["easing", "The robot catches up with your hand."],
+  ["returning", "The robot comes back to your hand."],
+  ["relaxing", "Your hand was away for long, so the robot's hand opens. Show your hand again."],
+  ["arm held", "The arm waits: your wrist moved too fast. Move it calmly."],
+  ["arm", "The arm waits until your wrist moves calmly."],
+  ["frozen", "The pictures do not change. Is the camera covered or stopped?"],
+  ["held: the input has not", "Hold your hand still for a moment."],
+  ["held: the person's hand is being measured", "Your hand is being measured. Hold it still for a moment."],
+  ["held: the hand is another person's", "This is another person's hand. Release the controls and engage again."],
+  ["held: a keypoint", "Your hand moved too fast, or was not seen well. Move it calmly, with the palm to the camera."],
+  ["held: the glove's frames come late", SLOW],
+  ["held: no newer", "No pictures come. Show your hand again."],
+  ["held: the glove lost", "Your hand is not seen. Show it again."],
+  ["disengaged", "Press Engage when you are ready."],
+];
+
+/** The server's state in words for a person; reasons for a refusal and what is unknown stand as they are. */
+function plain(status = "") {
+  const reason = status.split("; messages arrive but are refused: ")[1];
+  if (reason) return sentence(reason);
+  return PLAIN.find(([words]) => status.startsWith(words))?.[1] ?? sentence(status);
 }
 
-/** Quality of tracking from 0 to 1, and in words. */
-export function quality({ seen, score, rate }) {
-  if (!seen) return { value: 0, words: "No hand" };
-  const value = score * Math.min(rate / 25, 1);
-  const grade = value > 0.8 ? "good" : value > 0.5 ? "fair" : "poor";
-  const advice = value > 0.8 ? "" : rate < 20 ? ": slow pictures" : ": more light helps";
-  return { value, words: `Tracking ${grade}${advice}` };
+const sentence = (words) => (words ? `${words[0].toUpperCase()}${words.slice(1).replaceAll("`", "")}.` : "");
+
+/** How well the hand is seen, from 0 to 1, and in words that agree with what the robot does. */
+export function quality({ hand, state, device }) {
+  if (device === "pointer" || device === "recording") return { value: 1, words: "No camera needed" };
+  if (!hand.seen) return { value: 0, words: "No hand seen" };
+  const value = hand.score * Math.min(hand.rate / 25, 1);
+  if (state?.slow) return { value: Math.min(value, 0.4), words: "Hand seen, but this computer is too slow" };
+  if (state?.engaged && !state.following) return { value: Math.min(value, 0.7), words: "Hand seen; the robot waits" };
+  const advice = value > 0.8 ? "" : hand.rate < 20 ? ": few pictures a second" : ": more light helps";
+  return { value, words: `Hand seen${value > 0.8 ? " well" : advice}` };
+}
+
+const STEADY_MS = 300;
+
+/** Shows a situation once it has lasted, so that people can read it; `again` is called when to look once more. */
+export class Steady {
+  constructor(again) {
+    this.again = again;
+  }
+
+  /** Returns the situation to show in place of `now`. What the person did, engaging, shows at once. */
+  step(now, engaged) {
+    const time = performance.now();
+    const words = now.headline + now.detail;
+    if (words !== this.words) [this.words, this.since] = [words, time];
+    if (!this.shown || engaged !== this.engaged || time - this.since >= STEADY_MS) {
+      [this.shown, this.engaged] = [now, engaged];
+    } else {
+      clearTimeout(this.timeout);
+      this.timeout = setTimeout(this.again, STEADY_MS - (time - this.since) + 1);
+    }
+    return this.shown;
+  }
 }

@@ -3,6 +3,7 @@
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ _STATE_S = 0.1  # s between two states
 WAITING = "begins when you engage"
 # Phase of a task in which disengaging by a fist drops nothing.
 UNTOUCHED = "reach"
+# The computer is too slow if less than this share of real time was simulated over the last seconds.
+_SLOW, _PACE_S = 0.85, 3.0
 _NEWEST = 300  # number of newest samples in the displayed delay
 
 
@@ -69,6 +72,7 @@ class PageControl:
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
         self.task, self.object = facts.get("task"), facts.get("object")
         self._started = math.nan
+        self._pace: deque[tuple[float, float]] = deque()
         self.again, self._steady = False, SteadyState()
         recorder.switch(None)
 
@@ -170,6 +174,7 @@ class PageControl:
             "time": self._clock(root),
             "engaged": engaged,
             "following": self.loop.following(root),
+            "slow": self._is_slow(root),
             "status": self.note or self._steady.step(root.get_time(), self.loop.state(root)),
             "fist": station.fist if self._fist_counts(engaged) else 0.0,
             "outcome": self._outcome(root),
@@ -186,6 +191,15 @@ class PageControl:
     def _clock(self, root: Context) -> float:
         """Returns the time since the session's first engagement, s; 0 before it."""
         return 0.0 if math.isnan(self._started) else root.get_time() - self._started
+
+    def _is_slow(self, root: Context) -> bool:
+        """Whether the simulation took longer than real time over the last seconds."""
+        now, simulated = time.monotonic(), root.get_time()
+        self._pace.append((now, simulated))
+        while now - self._pace[0][0] > _PACE_S:
+            self._pace.popleft()
+        (began, start), full = self._pace[0], len(self._pace) >= _PACE_S / _STATE_S / 4
+        return full and simulated - start < _SLOW * (now - began)
 
     def _outcome(self, root: Context) -> dict[str, Any] | None:
         outcome = self.loop.outcome(root)

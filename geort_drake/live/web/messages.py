@@ -32,7 +32,7 @@ class Hello(Message):
 
     version: Literal[1]
     role: Literal["operator", "spectator"]
-    device: Literal["camera", "headset", "scripted"]
+    device: Literal["camera", "headset", "scripted", "pointer", "recording"]
     side: Literal["left", "right"]
     hand_length: Annotated[float, Meta(ge=0.1, le=0.3)] | None = None
 
@@ -52,6 +52,20 @@ class Headset(Message):
 
     t: Seconds
     joints: Joints
+
+
+Share = Annotated[float, Meta(ge=-1.0, le=1.0)]
+
+
+class Pointer(Message):
+    """The mouse at time `t`, s: right `x`, down `y` and forward `z`, as shares of the view; and the grip."""
+
+    t: Seconds
+    x: Share
+    y: Share
+    z: Share
+    grip: Literal["index", "middle", "ring", "little", "hand"]
+    closed: bool
 
 
 class Lost(Message):
@@ -91,7 +105,7 @@ class Fist:
 
 Request = Engage | Disengage | Reset | Record | Stop
 Command = Request | Fist
-Hand = Camera | Headset | Lost
+Hand = Camera | Headset | Pointer | Lost
 _DECODER = msgspec.json.Decoder(Hello | Hand | Request)
 
 

@@ -12,22 +12,22 @@ import numpy as np
 
 from geort_drake.errors import GeortError, LiveError, MismatchError
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, require_hand
-from geort_drake.live.messages import encode_frame
+from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.web.hands import HandReader
 from geort_drake.live.web.messages import (
     VERSION,
-    Camera,
     Command,
     Disengage,
     Engage,
     Fist,
     Hand,
-    Headset,
     Hello,
     Lost,
+    Pointer,
     Reset,
     decode,
 )
+from geort_drake.live.web.virtual_hands import PointerHand, RecordedHand
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 
 # Time for which a fist must be held to be a command, s.
@@ -35,6 +35,7 @@ FIST_S = 1.0
 # Time within which a second `engage` must confirm the first one of a real robot, s.
 _CONFIRM_S = 5.0
 _MAX_HANDS = 100  # most hands that wait for the loop
+_PLAY_S = 1.0 / 60.0  # between two hands of a recording
 # In a fist, but not around a cup, a fingertip is nearer to its knuckle than this fraction of its finger.
 _FIST = 0.5
 
@@ -58,6 +59,7 @@ class Operator:
     Attributes:
         number: number of its connection.
         device: device of its `Hello`.
+        pointer: the hand that its mouse moves.
         reader: reads its hands.
         time: time of its last hand, s on the page's clock.
         first: its first hands (21, 3), m, not checked yet.
@@ -69,6 +71,7 @@ class Operator:
     number: int
     device: str
     reader: HandReader
+    pointer: PointerHand = dc.field(default_factory=PointerHand)
     time: float = 0.0
     first: list[np.ndarray] = dc.field(default_factory=list)
     known: bool = False
@@ -94,10 +97,17 @@ class OperatorStation:
     Args:
         about: facts about the robot.
         clock: monotonic clock, s.
+        play: returns the recorded hand of the device `recording`; None if there is none.
     """
 
-    def __init__(self, about: RobotInfo, clock: Callable[[], float] = time.monotonic):
-        self.about, self._clock = about, clock
+    def __init__(
+        self,
+        about: RobotInfo,
+        clock: Callable[[], float] = time.monotonic,
+        play: Callable[[], RecordedHand] | None = None,
+    ):
+        self.about, self._clock, self._play = about, clock, play
+        self._played: RecordedHand | None = None
         self.commands: deque[Command] = deque(maxlen=_MAX_HANDS)
         self.operator: Operator | None = None
         self.received = self.refused = 0
@@ -120,6 +130,12 @@ class OperatorStation:
 
     def drain(self) -> list[bytes]:
         """Returns the hands since the last call as glove messages, oldest first."""
+        operator, played = self.operator, self._played
+        if operator is not None and operator.device == "recording" and played is not None:
+            now = self._clock()
+            if now - operator.time >= _PLAY_S:
+                self._follow(operator, played.frame(now))
+                operator.time = now
         hands = []
         while self._hands:
             hands.append(self._hands.popleft())
@@ -152,7 +168,7 @@ class OperatorStation:
                 return self._greet(person, message)
             if self.operator is None or not self._is_operator(person):
                 raise LiveError("only the operator moves the robot")
-            if isinstance(message, Camera | Headset | Lost):
+            if isinstance(message, Hand):
                 self._pass_on(self.operator, message)
             else:
                 self._ask(self.operator, message)
@@ -176,6 +192,8 @@ class OperatorStation:
                 f"this is a {hello.side} hand, but the robot's is a {self.about.side} one: use the other hand"
             )
         if wanted and self.operator is None:
+            if hello.device == "recording" and self._play is not None:
+                self._played = self._played or self._play()
             self.operator = Operator(person, hello.device, HandReader(hello.side, hello.hand_length))
         return self._welcome(person)
 
@@ -193,13 +211,21 @@ class OperatorStation:
         operator.time = message.t
         if isinstance(message, Lost):
             frame = operator.reader.lost(message.t)
+        elif isinstance(message, Pointer):
+            frame = operator.pointer.frame(message, self.about.side)
         else:
             frame = operator.reader.read(message)
             if not operator.known:
                 self._get_to_know(operator, frame.p_HK)
                 return
+        self._follow(operator, frame)
+
+    def _follow(self, operator: Operator, frame: GloveFrame) -> None:
+        """Passes a frame on to the loop."""
         self.p_HK, self.refusing = frame.p_HK, ""
-        self._watch_fist(operator)
+        # A fist counts as a command only of a person who is seen.
+        if operator.device in ("camera", "headset", "scripted"):
+            self._watch_fist(operator)
         self._hands.append(encode_frame(frame))
         self.received += 1
 

@@ -34,9 +34,14 @@ from geort_drake.systems.python_system import PythonSystem
 FRAME_PERIOD = 0.032  # s; gives at least 30 frames a second
 _GREY = [0.75, 0.75, 0.78, 1.0]
 _GROUND_M = 2.0  # side of the square that stands for a half space
-# Eye and target of the camera: over the robot's shoulder, so that left is left; for a parked hand, near it.
-_CAMERA = np.array([-0.45, -0.55, 0.85]), np.array([0.5, 0.0, 0.2])
-_NEAR = np.array([-0.36, -0.40, 0.16]), np.array([0.08, 0.04, -0.05])
+# View → direction from the middle of hand and objects to the eye, and the distance in radii of both. In all
+# views, left is left for a person who moves the robot.
+_VIEWS = {
+    "overview": (np.array([-0.50, -0.75, 0.45]), 3.6),
+    "close": (np.array([-0.35, -0.80, 0.35]), 2.1),
+    "shoulder": (np.array([-0.85, -0.30, 0.55]), 3.6),
+}
+_HAND_M = 0.16  # from a hand's base to its fingertips
 _SHAPES: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
     Box: lambda s: ("box", s.size().tolist()),
     HalfSpace: lambda s: ("box", [_GROUND_M, _GROUND_M, 0.0]),
@@ -59,7 +64,6 @@ class Scene:
         plant: finalized plant.
         inspector: inspector of its scene graph.
         hand: description of its hand.
-        parked: whether the arm stays in place.
     """
 
     def __init__(
@@ -67,7 +71,6 @@ class Scene:
         plant: MultibodyPlant,
         inspector: SceneGraphInspector,
         hand: HandDescription,
-        parked: bool = False,
     ):
         self._inspector = inspector
         self.meshes: list[bytes] = []
@@ -89,10 +92,17 @@ class Scene:
                     item = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
                     geometries.append(item | shape)
         names = [plant.get_body(index).scoped_name().get_full() for index in self.moving]
-        p_WB = base.CalcPoseInWorld(defaults).translation()
-        eye, target = (p_WB + offset for offset in _NEAR) if parked else _CAMERA
+        robot = {
+            plant.GetModelInstanceByName(name) for name in (HAND, ARM) if plant.HasModelInstanceNamed(name)
+        }
+        things = [index for index in self.moving if plant.get_body(index).model_instance() not in robot]
+        X_WB = base.CalcPoseInWorld(defaults)
+        points = [X_WB.translation(), X_WB @ [0.0, 0.0, _HAND_M]]
+        points += [
+            plant.EvalBodyPoseInWorld(defaults, plant.get_body(index)).translation() for index in things
+        ]
         self.description = {
-            "camera": {"eye": eye.tolist(), "target": target.tolist()},
+            "views": _views(np.array(points)),
             "moving": names,
             "hand_base": {
                 "moving": self.moving.index(base.body().index()),
@@ -142,6 +152,16 @@ class Scene:
             return _GREY
         rgba = properties.GetProperty("phong", "diffuse")
         return [rgba.r(), rgba.g(), rgba.b(), rgba.a()]
+
+
+def _views(points: np.ndarray) -> dict[str, dict[str, list[float]]]:
+    """Returns eye and target of each view of points (n, 3), m."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)) + 0.05
+    eyes = {name: middle + far * radius * way / np.linalg.norm(way) for name, (way, far) in _VIEWS.items()}
+    return {
+        name: {"eye": eye.round(4).tolist(), "target": middle.round(4).tolist()} for name, eye in eyes.items()
+    }
 
 
 def _numbers(X: RigidTransform) -> list[float]:

@@ -129,7 +129,7 @@ class WebTeleoperation:
             start = robot.hand.start, robot.arm.start
             shown = robot.stage.scene
             inspector = shown.scene_graph.model_inspector()
-            scene = Scene(shown.plant, inspector, description, scenario.fixed_base)
+            scene = Scene(shown.plant, inspector, description)
         else:
             robot, start = self.link, self.link.handshake(timeout)
             standing = self.model.standing_at({})
