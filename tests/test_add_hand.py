@@ -124,7 +124,7 @@ def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
     """One command describes the hand, one trains for it; no code knows its joints."""
     model = write_hand(tmp_path, spec := FAMILY[2])
     file = tmp_path / "mine.yaml"
-    run_command("add-hand", [str(model), "--output", str(file), "--rrd", str(tmp_path / "mine.rrd")])
+    run_command("hand add", [str(model), "--output", str(file), "--rrd", str(tmp_path / "mine.rrd")])
     assert b"tips/index" in (tmp_path / "mine.rrd").read_bytes()
     play = synthesize_play(seed=1, duration_s=60.0, rate_hz=30.0, side=spec.side)
     settings = LIGHT["geort"] | {"steps": 3}
@@ -140,15 +140,15 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     """The file names the model beside it, begins with the notes, and is not replaced unasked."""
     model = write_hand(tmp_path, HandSpec(3))
     file = tmp_path / "hand.yaml"
-    run_command("add-hand", [str(model), "--name", "mine", "--output", str(file)])
+    run_command("hand add", [str(model), "--name", "mine", "--output", str(file)])
     text = file.read_text(encoding="utf-8")
     first, second, *_ = text.splitlines()
-    assert first == "# Made by geort-drake add-hand from hand.urdf." and "no position controllers" in second
+    assert first == "# Made by geort-drake hand add from hand.urdf." and "no position controllers" in second
     assert yaml.safe_load(text)["model"] == "hand.urdf"
     assert load_hand(file) == propose(model, "mine").description
     with pytest.raises(OutputError, match=r"hand\.yaml exists"):
-        run_command("add-hand", [str(model), "--output", str(file)])
-    run_command("add-hand", [str(model), "--output", str(file), "--overwrite"])
+        run_command("hand add", [str(model), "--output", str(file)])
+    run_command("hand add", [str(model), "--output", str(file), "--overwrite"])
     assert load_hand(file).name == "hand"
 
 

@@ -97,9 +97,9 @@ def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
         return capsys.readouterr().err
 
     monkeypatch.setattr(console, "quiet", False)  # as it is afterwards
-    run_command("capture", ["--quiet"])
+    run_command("recording protocol", ["--quiet"])
     assert words() == "warning: few frames [0]\n"
-    run_command("capture", [])
+    run_command("recording protocol", [])
     said = words()
     assert "training" in said and said.endswith("done\nwarning: few frames [0]\n")
 
@@ -247,8 +247,8 @@ REFUSED = yaml.safe_load(Path(__file__).with_name("refused_requests.yaml").read_
 READERS = {
     "grasp": "grasp --output out --recording {}",
     "train": "train --output out.safetensors --recording {}",
-    "convert": "convert {} out.npz",
-    "synthesize": "synthesize out.npz --hand-of {}",
+    "convert": "recording convert {} --output out.npz",
+    "synthesize": "recording synthesize --output out.npz --hand-of {}",
 }
 UNREADABLE = {
     "missing.npy": ["missing.npy: no such file"],

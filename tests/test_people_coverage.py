@@ -88,7 +88,7 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys, monkeyp
     waits = []
     clock = SimpleNamespace(sleep=lambda seconds: (waits.append(seconds), recording.save(path)))
     monkeypatch.setattr("geort_drake.cli.check_recording.time", clock)
-    run_command("check-recording", [str(path), "--watch"])
+    run_command("recording check", [str(path), "--watch"])
     assert len(waits) == 1 and "coverage: 15 of 15" in capsys.readouterr().err
 
 
@@ -130,7 +130,7 @@ def test_motions_are_those_of_the_fingers_learned_from(play):
 def test_the_demonstration_is_a_rerun_recording(tmp_path):
     """The hand moves, and a lane names the steps in their order."""
     output = tmp_path / "protocol.rrd"
-    run_command("capture", ["--output", str(output)])
+    run_command("recording protocol", ["--output", str(output)])
     steps: list[str] = []
     drawn = 0
     for chunk in RrdReader(output).stream():

@@ -171,9 +171,15 @@ def npy(tmp_path_factory):
 
 def test_synthesizing_writes_the_recording_of_that_seed(npy, tmp_path):
     """The file equals synthesize_play with the same arguments; with --hand-of it has that person's bones."""
-    run_command("synthesize", [str(tmp_path / "play.npz"), "--seed", "3", "--duration", "12", "--rate", "60"])
+    run_command(
+        "recording synthesize",
+        ["--output", str(tmp_path / "play.npz"), "--seed", "3", "--duration", "12", "--rate", "60"],
+    )
     assert Recording.load(tmp_path / "play.npz").digest == synthesize_play(3, 12.0, 60.0).digest
-    run_command("synthesize", [str(tmp_path / "p.npz"), "--duration", "5", "--hand-of", str(npy)])
+    run_command(
+        "recording synthesize",
+        ["--output", str(tmp_path / "p.npz"), "--duration", "5", "--hand-of", str(npy)],
+    )
     bones = np.linalg.norm(np.diff(Recording.load(tmp_path / "p.npz").p_HK[:, 5:9], axis=1), axis=-1)
     expected = np.linalg.norm(np.diff(np.load(npy)[0, 5:9], axis=0), axis=-1)
     np.testing.assert_allclose(bones, np.tile(expected, (len(bones), 1)), atol=1e-5)
@@ -185,23 +191,30 @@ def test_people_are_written(tmp_path, capsys):
     People of an earlier run stay, with a warning.
     """
     options = ["--people", "2", "--seed", "3", "--duration", "12"]
-    run_command("synthesize", [str(tmp_path / "all"), *options])
+    run_command("recording synthesize", ["--output", str(tmp_path / "all"), *options])
     for number in range(2):
         read = read_recording(tmp_path / "all" / f"person_{number:03d}.npz")
         assert read.digest == sample_person(3, number).record(12.0).digest
-    run_command("synthesize", [str(tmp_path / "slow"), *options, "--rate", "30", "--side", "left"])
+    run_command(
+        "recording synthesize",
+        ["--output", str(tmp_path / "slow"), *options, "--rate", "30", "--side", "left"],
+    )
     slow = Recording.load(tmp_path / "slow" / "person_001.npz")
     assert (len(slow), slow.side) == (360, "left")
     assert "another run" not in capsys.readouterr().err
-    run_command("synthesize", [str(tmp_path / "slow"), "--people", "1", "--duration", "12"])
+    run_command(
+        "recording synthesize", ["--output", str(tmp_path / "slow"), "--people", "1", "--duration", "12"]
+    )
     assert "another run, such as person_001.npz" in " ".join(capsys.readouterr().err.split())
     with pytest.raises(UsageError, match="--people"):
-        run_command("synthesize", [str(tmp_path / "p.npz"), *options, "--hand-of", "hand.npy"])
+        run_command(
+            "recording synthesize", ["--output", str(tmp_path / "p.npz"), *options, "--hand-of", "hand.npy"]
+        )
 
 
 def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, capsys):
     """The file equals what the reader gives; the report has rate, fingers, verdict and what is next."""
-    run_command("convert", [str(npy), str(tmp_path / "hand.npz")])
+    run_command("recording convert", [str(npy), "--output", str(tmp_path / "hand.npz")])
     saved, read = Recording.load(tmp_path / "hand.npz"), read_recording(npy)
     assert saved.digest == read.digest and saved.metadata["warnings"] == read.metadata["warnings"]
     said = " ".join(capsys.readouterr().err.split())
@@ -212,7 +225,9 @@ def test_converting_writes_a_recording_and_reports_its_health(npy, tmp_path, cap
 
 def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, capsys):
     """The other hand makes the same motion: stored in the mirror, the keypoints are the same."""
-    run_command("convert", [str(npy), str(tmp_path / "left.npz"), "--mirror", "--json"])
+    run_command(
+        "recording convert", [str(npy), "--output", str(tmp_path / "left.npz"), "--mirror", "--json", "-"]
+    )
     out = capsys.readouterr()
     report = json.loads(out.out)
     assert (report["side"], report["recorded_side"]) == ("left", "right")
@@ -228,9 +243,11 @@ def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, cap
 
 def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     """One object on stdout: verdict, sentences, figures; for what is refused, the reason."""
-    run_command("check-recording", [str(npy), "--json", "--rate", "60"])
+    run_command("recording check", [str(npy), "--json", "-", "--rate", "60"])
     said = capsys.readouterr()  # other commands have no --rate, so the next one is convert
-    assert f"convert {npy} {npy.with_name('hand_converted.npz')} --rate 60.0" in " ".join(said.err.split())
+    assert f"recording convert {npy} --output {npy.with_name('hand_converted.npz')} --rate 60.0" in " ".join(
+        said.err.split()
+    )
     report = json.loads(said.out)
     assert report["fit_for_training"] is True
     known = {"format": "geort", "side": "right", "frames": 450, "wrist": "none", "rate_known": True}
@@ -241,7 +258,7 @@ def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
     np.save(tmp_path / "mm.npy", 1e3 * np.load(npy))
     for path, reason in ((tmp_path / "mm.npy", "in mm"), (tmp_path, "no such file")):
         with pytest.raises(RecordingError):
-            run_command("check-recording", [str(path), "--json"])
+            run_command("recording check", [str(path), "--json", "-"])
         report = json.loads(capsys.readouterr().out)
         assert (report["verdict"], report["fit_for_training"]) == ("refused", False)
         assert reason in report["reason"]

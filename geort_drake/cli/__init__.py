@@ -26,10 +26,10 @@ GROUPS: dict[str, dict[str, str]] = {
         "live stand-in-robot": "stand_in_robot",
     },
     "record": {
-        "recording check": "check_recording",
-        "recording convert": "convert",
-        "recording synthesize": "synthesize",
-        "recording capture": "capture",
+        "recording check": "recording:CheckRecording",
+        "recording convert": "recording:ConvertRecording",
+        "recording synthesize": "recording:SynthesizeRecording",
+        "recording protocol": "recording:ShowProtocol",
     },
     "train": {"train": "train"},
     "compare": {"evaluate": "evaluate", "explore": "explore", "benchmark": "benchmark"},
@@ -46,7 +46,7 @@ _EARLIER = {
     "check-recording": "recording check",
     "convert": "recording convert",
     "synthesize": "recording synthesize",
-    "capture": "recording capture",
+    "capture": "recording protocol",
     "publish": "live publish",
     "stand-in-robot": "live stand-in-robot",
 }
@@ -145,7 +145,7 @@ def parse(name: str, argv: Sequence[str]) -> "Command":
     # Shells leave a ~ behind an equals sign, as in --output=~/run.
     parts = [word.partition("=") for word in argv]
     words = [option + equals + os.path.expanduser(value) for option, equals, value in parts]
-    config = (tyro.conf.FlagCreatePairsOff,)
+    config = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
     return tyro.cli(
         command, prog=f"geort-drake {name}", args=words, config=config, description=description_of(name)
     )

@@ -29,7 +29,7 @@ ROW_ID = "rerun.controls.RowId"
 
 def generate(seed: int) -> None:
     """A synthetic recording."""
-    run_command("synthesize", ["play.npz", "--duration", "20", "--seed", str(seed)])
+    run_command("recording synthesize", ["--output", "play.npz", "--duration", "20", "--seed", str(seed)])
 
 
 def train(seed: int) -> None:
