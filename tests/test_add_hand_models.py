@@ -138,11 +138,11 @@ def test_the_command_describes_a_copy(tmp_path):
     output = tmp_path / "described" / "hand.yaml"
     output.parent.mkdir()
     for _ in range(2):
-        run_command("add-hand", [str(model), "--output", str(output), "--quiet", "--overwrite"])
+        run_command("hand add", [str(model), "--output", str(output), "--quiet", "--overwrite"])
     notes = output.parent / "hand_model" / "notes.txt"
     notes.write_text("mine")
     with pytest.raises(OutputError, match="is no earlier copy of hand"):
-        run_command("add-hand", [str(model), "--output", str(output), "--overwrite"])
+        run_command("hand add", [str(model), "--output", str(output), "--overwrite"])
     assert model.read_bytes() == before
     HandModel(output)
 
@@ -425,7 +425,7 @@ def test_more_than_one_hand_is_refused(tmp_path, arm_joints, legs, hands, messag
 def test_the_named_palm_of_a_robot_is_described(tmp_path, side):
     """With its own fingers; all other joints are held, in one note."""
     robot = _robot(tmp_path, 7, legs=2)
-    run_command("add-hand", [str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
+    run_command("hand add", [str(robot), "--palm", f"{side}_palm", "--output", str(tmp_path / "hand.yaml")])
     description = load_hand(tmp_path / "hand.yaml")
     assert (description.side, description.base_pose.relative_to) == (side, f"{side}_palm")
     assert [joint.partition("_")[0] for joint in description.joint_names] == [side] * 11

@@ -270,5 +270,5 @@ def test_a_hand_without_geometry_is_recorded(tmp_path):
     model = write_urdf(tmp_path, geometry=False)
     files = {"--output": tmp_path / "hand.yaml", "--rrd": tmp_path / "hand.rrd"}
     options = [str(part) for option in files.items() for part in option]
-    assert run_command("add-hand", [str(model), *options]) == 0
+    assert run_command("hand add", [str(model), *options]) == 0
     assert b"tips/index" in (tmp_path / "hand.rrd").read_bytes()
