@@ -232,7 +232,7 @@ def test_commands_run(chain, tiny_work, capsys):
     capsys.readouterr()
     for line, key in CHAINS[chain].items():
         name, *words = shlex.split(line.format(settings=SETTINGS, short=SHORT))
-        assert run_command(name, [*words, *(["--json"] if key else [])]) == 0
+        assert run_command(name, [*words, *(["--json", "-"] if key else [])]) == 0
         captured = capsys.readouterr()
         assert key in json.loads(captured.out) if key else captured.out == ""
         for suggestion in re.findall(r"^next: (.*)$", captured.err, re.MULTILINE):
@@ -267,7 +267,7 @@ def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, m
         kept.append({path.name: path.read_bytes() for path in Path("stopped").glob("*.*")})
     assert kept[0] == kept[1]
     assert Path("stopped/interrupted/cylinder-1.rrd").is_file()
-    assert run_command("export", ["stopped", "stopped_table"]) == 0
+    assert run_command("export", ["stopped", "--output", "stopped_table"]) == 0
     assert [path.name for path in Path("stopped_table/frames").iterdir()] == ["cylinder-0.parquet"]
     Path("stopped/mine.rrd").touch()
     assert run_command("grasp", ["--objects", "cube", *shlex.split(line)[2:-2]]) == 0

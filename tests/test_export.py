@@ -204,4 +204,4 @@ def test_unsuitable_exports_are_refused(run, tmp_path):
     with pytest.raises(OutputError, match="is not an earlier export"):
         list(write_parquet(read_episodes(run), run))
     with pytest.raises(OutputError, match="Rerun recordings already"):
-        run_command("export", [str(run), str(tmp_path / "x.rrd"), "--format", "rrd"])
+        run_command("export", [str(run), "--output", str(tmp_path / "x.rrd"), "--format", "rrd"])

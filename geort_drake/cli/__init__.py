@@ -32,11 +32,11 @@ GROUPS: dict[str, dict[str, str]] = {
         "recording protocol": "recording:ShowProtocol",
     },
     "train": {"train": "train"},
-    "compare": {"evaluate": "evaluate", "explore": "explore", "benchmark": "benchmark"},
+    "compare": {"evaluate": "evaluate:Evaluate", "explore": "explore:Explore", "benchmark": "benchmark"},
     "hands and data": {
         "hand add": "hand:AddHand",
         "hand list": "hand:ListHands",
-        "export": "export",
+        "export": "export:Export",
     },
 }
 COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}

@@ -96,6 +96,25 @@ class ScenarioOptions:
 ScenarioChoice = OmitArgPrefixes[ScenarioOptions]
 
 
+def methods_for(hand: str) -> tuple[str, ...]:
+    """Returns all methods; the universal map only if one is shipped for the hand, a name or file."""
+    from geort_drake.hands.description import load_hand
+    from geort_drake.retargeting import METHODS
+    from geort_drake.retargeting.store import shipped_maps
+
+    has_map = load_hand(hand).name in shipped_maps()
+    return tuple(name for name in METHODS if name != "universal" or has_map)
+
+
+def methods_epilog(trained: bool = False) -> str:
+    """Returns the help's list of all methods, or of those that are trained."""
+    from geort_drake.retargeting import METHODS
+
+    methods = {name: each for name, each in METHODS.items() if each.is_trained or not trained}
+    lines = [f"  {name:12} {each.summary}" for name, each in methods.items()]
+    return "\n".join(["methods:", *lines])
+
+
 # -- checks of options, before any work begins
 
 

@@ -1,64 +1,83 @@
-"""Export grasp trials or a recording of a hand to Parquet, LeRobot or Rerun.
+"""The command that exports trials and recordings to other formats."""
 
-parquet: a folder with one table of frames per trial, and one table of all trials and outcomes
-lerobot: a LeRobot dataset (version 3.0), one episode per trial
-rrd:     a Rerun recording of a hand (the trials of a run already are Rerun recordings)
-"""
-
-import argparse
 from pathlib import Path
+from typing import Annotated, Literal
 
-from geort_drake.cli.options import CommandParser, at_least, finish, output_file, view, write_json
+from tyro.conf import Positional, arg
+
+from geort_drake.cli.base import (
+    Command,
+    Json,
+    Side,
+    finish,
+    options,
+    require,
+    require_json_file,
+    require_output_file,
+    require_output_folder,
+    view,
+    write_json,
+)
 from geort_drake.errors import OutputError, UsageError
-from geort_drake.files import require_writable
 
 
-def add_arguments(parser: CommandParser) -> None:
-    add = parser.add_argument
-    add("input", type=Path, help="folder that `geort-drake grasp` wrote, or a recording of a hand")
-    add("output", type=Path, help="folder to write; with rrd, a file")
-    add("--format", choices=("parquet", "lerobot", "rrd"), default="parquet", help="format to write")
-    rate = "frames per second, for lerobot and rrd (default: the recording's; rrd: 30)"
-    add("--fps", type=at_least(1), help=rate)
-    parser.add_side("right")
-    parser.add_json("what was exported")
+@options
+class Export(Command):
+    """Export grasp trials or a recording of a hand to Parquet, LeRobot or Rerun.
 
+    formats:
+      parquet  a folder with one table of frames per trial, and one table of all trials and outcomes
+      lerobot  a LeRobot dataset (version 3.0), one episode per trial
+      rrd      a Rerun recording of a hand (the trials of a run already are Rerun recordings)
+    """
 
-def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import read_recording
-    from geort_drake.console import track
-    from geort_drake.export.episode import RESULTS, episode_of, read_episodes
-    from geort_drake.export.lerobot import write_lerobot
-    from geort_drake.export.parquet import write_parquet
+    input: Positional[Path]
+    """folder that `geort-drake grasp` wrote, or a recording of a hand"""
+    output: Annotated[Path, arg(metavar="PATH")]
+    """folder to write; with rrd, a file"""
+    format: Literal["parquet", "lerobot", "rrd"] = "parquet"
+    """format to write"""
+    fps: Annotated[int | None, arg(metavar="HZ")] = None
+    """frames per second, for lerobot and rrd (default: the recording's; rrd: 30)"""
+    side: Side = "right"
+    """side of the recorded hand"""
+    json: Json = None
 
-    source, output = arguments.input, arguments.output
-    if arguments.format == "parquet" and arguments.fps:
-        raise UsageError("--fps: Parquet keeps every sample; use it with lerobot and rrd")
-    if arguments.format != "rrd":
-        require_writable(output, directory=True)
-    is_run = (source / RESULTS).is_file()
-    names = [source.stem]
-    if arguments.format == "rrd":
+    def run(self) -> int:
+        from geort_drake import read_recording
+        from geort_drake.console import track
+        from geort_drake.export.episode import RESULTS, episode_of, read_episodes
         from geort_drake.export.hand_recordings import write_hand
+        from geort_drake.export.lerobot import write_lerobot
+        from geort_drake.export.parquet import write_parquet
 
-        output_file(".rrd")(str(output))
-        if is_run:
-            raise OutputError(f"{source}: the trials of a run are Rerun recordings already: {source}/*.rrd")
-        write_hand(read_recording(source, arguments.side), output, arguments.fps or 30)
-    else:
-        # A missing input is read as a run, because that error says what a run needs.
-        if is_run or not source.exists():
-            episodes = read_episodes(source)
+        require_json_file(self.json)
+        require(self.fps is None or self.fps > 0, "--fps", "a whole number from 1", self.fps)
+        if self.format == "parquet" and self.fps:
+            raise UsageError("--fps: Parquet keeps every sample; use it with lerobot and rrd")
+        is_run = (self.input / RESULTS).is_file()
+        names = [self.input.stem]
+        if self.format == "rrd":
+            require_output_file(self.output, ".rrd")
+            if is_run:
+                where = f"{self.input}/*.rrd"
+                raise OutputError(f"{self.input}: the trials of a run are Rerun recordings already: {where}")
+            write_hand(read_recording(self.input, self.side), self.output, self.fps or 30)
         else:
-            episodes = iter([episode_of(read_recording(source, arguments.side), source.stem)])
-        if arguments.format == "lerobot":
-            done = write_lerobot(episodes, output, arguments.fps)
-        else:
-            done = write_parquet(episodes, output)
-        names = list(track("exporting", done, None))
-    write_json(arguments.json, {"format": arguments.format, "output": str(output), "episodes": names})
-    results = {"Exported": f"{output} (episodes: {len(names)})"}
-    if arguments.format == "parquet":
-        results["Read it"] = f'pyarrow.dataset.dataset("{output / "frames"}").to_table()'
-    finish(results, None if arguments.format == "parquet" else view(output))
-    return 0
+            require_output_folder(self.output)
+            # A missing input is read as a run, because that error says what a run needs.
+            if is_run or not self.input.exists():
+                episodes = read_episodes(self.input)
+            else:
+                episodes = iter([episode_of(read_recording(self.input, self.side), self.input.stem)])
+            if self.format == "lerobot":
+                done = write_lerobot(episodes, self.output, self.fps)
+            else:
+                done = write_parquet(episodes, self.output)
+            names = list(track("exporting", done, None))
+        write_json(self.json, {"format": self.format, "output": str(self.output), "episodes": names})
+        results = {"Exported": f"{self.output} (episodes: {len(names)})"}
+        if self.format == "parquet":
+            results["Read it"] = f'pyarrow.dataset.dataset("{self.output / "frames"}").to_table()'
+        finish(results, None if self.format == "parquet" else view(self.output))
+        return 0
