@@ -3,17 +3,19 @@
 import dataclasses as dc
 import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, attempt, outcome_of, plans
+from grasp_setup import allegro, attempt, centred_map, outcome_of, person_who_plays, plans, reach_goal
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import load_scenario
+from geort_drake import load_scenario, run_trial
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.people.keypoints import mirrored
+from geort_drake.simulation import tasks
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.operators.config import OperatorConfig
@@ -262,6 +264,21 @@ def test_the_persons_parameters_are_those_of_the_published_results():
     frozen = "167fc503d8db25bd4a1b258ef7c5ec6fdc418fb9a32cae4ec2a3d4e3401c43e8"
     defaults = [dc.asdict(OperatorConfig()), dc.asdict(IntentionConfig())]
     assert hashlib.sha256(json.dumps(defaults, sort_keys=True).encode()).hexdigest() == frozen
+
+
+def test_the_task_of_the_how_to_runs_in_one_file(tmp_path, monkeypatch):
+    """Of at most 150 lines, in a folder outside of the package; its place is above the support."""
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "add-a-task.md").read_text(encoding="utf-8")
+    code = page.split("```python\n")[1].split("```")[0]
+    assert code.count("\n") <= 150
+    (tmp_path / "aside.py").write_text(code, encoding="utf-8")
+    monkeypatch.setattr(tasks, "__path__", [*tasks.__path__, str(tmp_path)])
+    assert "aside" in task_names()
+    scenario = load_scenario(task="aside", text="{timeout: 0.3}")
+    result, _ = run_trial(scenario, centred_map(), (person_who_plays(), reach_goal()))
+    assert (result.task, result.object, result.outcome) == ("aside", "cube", "timeout: reach")
+    assert result.metrics["place_error"] == pytest.approx(0.07, abs=0.02)
+    assert result.to_json()["step_times"] == {}
 
 
 def test_tasks_are_modules_and_say_what_is_wrong():

@@ -30,7 +30,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.train import training_recording
-from geort_drake.simulation.free_play import after_play, keep_reached, persons_hand, seen_fingertips
+from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
 from geort_drake.simulation.scenario_files import check_scenario, load_scenario
 from geort_drake.simulation.tasks import find_task
@@ -236,15 +236,13 @@ class Benchmark:
         variant = Variant(key.task, key.kind, key.condition)
         scenario = dc.replace(self.scenarios[variant], person=key.person)
         retarget, latency = self._maps[key.method, key.training], self._latency(key.method)
+        scenario.retargeting = dc.replace(scenario.retargeting, latency=latency)
         person = persons_hand(scenario, self._operator)
         played = key.method, key.training, variant, key.person
         if played not in self._played:
-            own = after_play(retarget, person)
-            self._played[played] = own, seen_fingertips(own, self.hand, person, latency)
-        own, seen = self._played[played]
+            self._played[played] = practise(scenario, retarget, self.hand, person)
+        retarget, seen = self._played[played]
         goal, attainable = keep_reached(self._plans[variant, key.object], seen)
-        if find_task(key.task).begins_after_play:
-            retarget = own
         return Trial(key, dump_scenario(scenario), retarget, latency, (person, goal), attainable)
 
     def run(self, log: TrialLog, keys: Sequence[TrialKey], jobs: int, backend: str) -> Iterator[Row]:

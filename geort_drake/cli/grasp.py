@@ -81,9 +81,10 @@ def run(arguments: argparse.Namespace) -> int:
     from geort_drake.own_method import OwnMethod
     from geort_drake.retargeting.train import training_recording
     from geort_drake.retargeting.universal import UniversalRetargeter
-    from geort_drake.simulation.free_play import after_play, keep_reached, persons_hand, seen_fingertips
+    from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
     from geort_drake.simulation.scenario import dump_scenario
     from geort_drake.simulation.tasks import find_task
+    from geort_drake.simulation.tasks.grasp import explained
 
     # Checks the whole request before anything is computed or written.
     base, replay = _request(arguments)
@@ -128,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
     person = persons_hand(scenarios[0], recording)
     goals = {}
     if replay is None:
-        seen = seen_fingertips(after_play(retarget, person), hand, person)
+        retarget, seen = practise(base, retarget, hand, person)
         found = {scenario.object.name for scenario in scenarios}
         goals = {name: keep_reached(plans[name], seen)[0] for name in found}
     report: dict[str, Any] = {
@@ -181,6 +182,12 @@ def run(arguments: argparse.Namespace) -> int:
         caption="hold at: start of the successful hold; height, force: peak; speed: relative to real time",
         text=("outcome",),
     )
+    held = sum(result.success for result in results)
+    say(f"{held} of {len(results)} held")
+    for result in results:
+        if not result.success:
+            where = "" if arguments.no_rerun else f"; watch {result.object}-{result.seed}.rrd"
+            say(f"{result.object}, seed {result.seed}: {explained(result.outcome)}{where}")
     write_json(arguments.json, report)
     watch = None if arguments.no_rerun else view(arguments.output, "/*.rrd")
     finish({"Results": arguments.output / RESULTS}, watch)

@@ -57,6 +57,19 @@ def seen_fingertips(
     return FreePlay(p_HF, p_BF, stride / RATE)
 
 
+def practise(scenario: Scenario, retarget: Any, hand: HandModel, person: HumanHand) -> tuple[Any, FreePlay]:
+    """Returns the map of a trial, and what the person saw of it in free play before.
+
+    The map is fixed before the trial starts, unless the scenario says otherwise. The play has its latency.
+
+    Args:
+        retarget: a method, or a universal map, which adapts to the person.
+    """
+    adapted = after_play(retarget, person)
+    seen = seen_fingertips(adapted, hand, person, scenario.retargeting.latency)
+    return adapted if scenario.retargeting.adapts_before else retarget, seen
+
+
 def after_play(retarget: Any, person: HumanHand) -> Any:
     """Returns the map after free play: a universal map adapted to the person, any other as it is."""
     return retarget.for_person(_frames(person)) if isinstance(retarget, UniversalRetargeter) else retarget

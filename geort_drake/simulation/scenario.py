@@ -53,6 +53,9 @@ class RetargetingConfig:
     max_joint_acceleration: float = 700.0
     # Cutoff of a low-pass on the joint targets, Hz; 0 for none.
     cutoff: float = 0.0
+    # Whether a universal map is adapted to the person in free play before the trial; otherwise the trial
+    # begins while it measures them.
+    adapts_before: bool = True
     # Duration of a call, s, rounded up to whole steps of the plant. It delays the joint targets, and the
     # retargeter is not called again before they are out.
     latency: float = 0.0

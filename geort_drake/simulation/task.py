@@ -141,8 +141,6 @@ class Task:
         settings: dataclass of positive numbers for the scenario's `task_settings`.
         mirror: name of a percept → signs that mirror it for a left hand.
         kinds: kinds of people who can do it.
-        begins_after_play: whether a universal map adapts to people in free play before the trial; otherwise
-            it first sees them in the trial.
     """
 
     name: str
@@ -156,7 +154,6 @@ class Task:
     settings: type = NoSettings
     mirror: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
     kinds: tuple[str, ...] = KINDS
-    begins_after_play: bool = True
 
     def cases(self) -> list[str]:
         """Returns the cases of the task, one per trial, such as objects."""

@@ -1,4 +1,4 @@
-"""Finds tasks by name: each module here defines one, named `TASK`."""
+"""Finds tasks by name: each module here, or in a folder that is added to `__path__`, defines a `TASK`."""
 
 import functools
 import importlib
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 def task_names() -> list[str]:
     """Names of all tasks."""
-    return sorted(path.stem for path in Path(__file__).parent.glob("[!_]*.py"))
+    return sorted(path.stem for folder in __path__ for path in Path(folder).glob("[!_]*.py"))
 
 
 @functools.cache

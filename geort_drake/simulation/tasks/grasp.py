@@ -64,6 +64,24 @@ class GraspSettings:
     drop_time: float = 0.1
 
 
+_ENDINGS = {
+    GraspPhase.REACH: "no finger touched the object",
+    GraspPhase.TOUCH: "one finger touched the object",
+    GraspPhase.GRASP: "two fingers or more touched the object and did not lift it",
+    GraspPhase.LIFT: "the object was lifted, but not high enough",
+    GraspPhase.HOLD: "the object was high enough, but not for long enough",
+}
+
+
+def explained(outcome: str) -> str:
+    """Returns in a sentence what an outcome of a grasp such as "timeout: touch" means."""
+    ending, _, phase = outcome.partition(": ")
+    if phase.upper() not in GraspPhase.__members__:
+        return outcome
+    last = _ENDINGS[GraspPhase[phase.upper()]]
+    return f"the object fell or was pushed away; before, {last}" if ending == "thrown" else f"in time, {last}"
+
+
 def judgement(
     settings: GraspSettings,
     links: Sequence[str],
@@ -200,5 +218,4 @@ TASK = Task(
     percepts=("object_pose", "contact"),
     cases_of=object_names,
     settings=GraspSettings,
-    begins_after_play=False,
 )
