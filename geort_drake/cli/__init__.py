@@ -32,7 +32,11 @@ GROUPS: dict[str, dict[str, str]] = {
         "recording protocol": "recording:ShowProtocol",
     },
     "train": {"train": "train"},
-    "compare": {"evaluate": "evaluate:Evaluate", "explore": "explore:Explore", "benchmark": "benchmark"},
+    "compare": {
+        "evaluate": "evaluate:Evaluate",
+        "explore": "explore:Explore",
+        "benchmark": "benchmark:Benchmark",
+    },
     "hands and data": {
         "hand add": "hand:AddHand",
         "hand list": "hand:ListHands",

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, dataclass_transform, get_type_hints
 
-from tyro.conf import OmitArgPrefixes, arg
+from tyro.conf import arg
 
 from geort_drake.errors import OutputError, UsageError
 from geort_drake.files import finite_json, require_writable, write_text
@@ -76,7 +76,7 @@ class Command:
 
 @options
 class ScenarioOptions:
-    """Options that select a scenario."""
+    """Options that select a scenario; a base of commands that simulate."""
 
     hand: Annotated[str | None, arg(metavar="NAME", help=f"{_HANDS} (default: the scenario's)")] = None
     scenario_file: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -86,14 +86,11 @@ class ScenarioOptions:
     scenario_text: Annotated[str | None, arg(metavar="YAML")] = None
     """YAML merged into the scenario, for example '{timeout: 30}'"""
 
-    def load(self) -> "Scenario":
+    def load_scenario(self) -> "Scenario":
         """Loads the scenario; for errors see `load_scenario`."""
         from geort_drake import load_scenario
 
         return load_scenario(self.scenario_file, self.scenario_name, self.scenario_text, self.hand)
-
-
-ScenarioChoice = OmitArgPrefixes[ScenarioOptions]
 
 
 def methods_for(hand: str) -> tuple[str, ...]:

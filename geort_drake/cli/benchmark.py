@@ -1,21 +1,26 @@
-"""Compare retargeting methods by tasks in simulation, such as grasps.
+"""The command that compares methods by tasks in simulation."""
 
-Every method does every task with the same objects, people and seeds: the same placements and noise. The same
-command resumes an interrupted benchmark, and adds methods, objects, people and trials to a finished one.
-"""
-
-import argparse
+import copy
 import itertools
+import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from geort_drake.cli.options import (
-    CommandParser,
-    at_least,
+from tyro.conf import arg
+
+from geort_drake.cli.base import (
+    Command,
+    Json,
+    ScenarioOptions,
+    Side,
     finish,
+    methods_epilog,
     methods_for,
-    scenario_of,
+    options,
+    require,
+    require_json_file,
+    require_output_folder,
     view,
     write_json,
 )
@@ -23,126 +28,267 @@ from geort_drake.errors import UnknownNameError, UsageError
 from geort_drake.simulation.tasks import task_names
 
 if TYPE_CHECKING:
-    from geort_drake.benchmark.run import Benchmark, Variant
+    from geort_drake.benchmark.run import Benchmark as TrialBenchmark
+    from geort_drake.benchmark.run import Variant
     from geort_drake.simulation.scenario import Scenario
 
 # Methods that need no training.
-QUICK = {
-    "methods": ("universal", "anyteleop", "dexpilot", "hold"),
-    "objects": ("cylinder", "sphere", "cube"),
-    "trials": 2,
-}
-EPILOG = """\
-{methods}
-Writes trials.jsonl (one row per finished trial) and report.md to --output.
-
-Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
-"""
+QUICK_METHODS = ("universal", "anyteleop", "dexpilot", "hold")
+QUICK_OBJECTS = ("cylinder", "sphere", "cube")
+_TASKS = arg(metavar="NAME ...", help=f"tasks: {', '.join(task_names())} (default: grasp)")
 
 
-def add_arguments(parser: CommandParser) -> None:
-    add = parser.add_argument
-    parser.add_output("runs/benchmark", "trials.jsonl")
-    methods = (
-        "methods listed below, checkpoints, maps or Python files; the first is the reference (default: all)"
-    )
-    add("--tasks", nargs="+", metavar="NAME", help=f"tasks: {', '.join(task_names())} (default: grasp)")
-    kinds = "kinds of simulated people: servo, mimicry, adaptive (default: the scenario's; with --tasks, all)"
-    add("--kinds", nargs="+", metavar="NAME", help=kinds)
-    add("--methods", nargs="+", metavar="NAME", help=methods)
-    add("--objects", nargs="+", metavar="NAME", help="objects to grasp (default: all)")
-    persons = "people of the population, by number; 0 has the hand of --recording (default: the scenario's)"
-    add("--persons", nargs="+", type=at_least(0), metavar="N", help=persons)
-    add("--trials", type=at_least(1), help="trials per method, object and person (default: 30)")
-    trainings = "number of trainings of each trained method, with successive seeds; each does all trials"
-    add("--trainings", type=at_least(1), default=1, help=trainings)
-    add("--quick", action="store_true", help="small benchmark that takes two to five minutes on two cores")
-    parser.add_workers()
-    add("--zero-latency", action="store_true", help="do not simulate the methods' latencies")
-    add("--recording", type=Path, help="recording of the person's hand (default: synthetic play)")
-    add(
-        "--operator",
-        type=Path,
-        metavar="RECORDING",
-        help="recording of the person who operates, such as another session or person (default: --recording)",
-    )
-    varied = (
-        "repeat the trials with one field of the scenario changed, such as operator.visual_delay=0,0.1,0.3"
-    )
-    add("--vary", nargs="+", default=(), metavar="FIELD=V1,V2", help=varied)
-    parser.add_side()
-    parser.add_seed("training and synthetic play")
-    add(
-        "--rrd",
-        nargs="+",
-        metavar=("METHOD", "OBJECT SEED"),
-        help="repeat a finished trial of --output and write its Rerun recording; --tasks, --kinds, --persons "
-        "and --vary select one of several",
-    )
-    submit = "add a method to the benchmark in --output, with its people, objects, seeds and settings"
-    add("--submit", metavar="METHOD", help=submit)
-    add("--report", action="store_true", help="only rewrite the report in --output")
-    parser.add_json("the figures")
-    parser.add_scenario()
+@options
+class Benchmark(Command, ScenarioOptions):
+    """Compare retargeting methods by tasks in simulation, such as grasps.
 
+    Every method does every task with the same objects, people and seeds: the same placements and noise. The
+    same command resumes an interrupted benchmark, and adds methods, objects, people and trials to a finished
+    one. It writes trials.jsonl (one row per finished trial) and report.md to --output.
 
-def run(arguments: argparse.Namespace) -> int:
-    if arguments.rrd:
-        return repeat(arguments)
-    if arguments.submit:
-        for name in ("methods", "objects", "trials", "persons", "quick", "recording", "operator", "vary"):
-            if getattr(arguments, name):
-                raise UsageError(f"--submit runs one method as --output states; leave out --{name}")
-        simulate(*stored_benchmark(arguments.output, [arguments.submit]), arguments)
-    elif not arguments.report:
-        simulate(*new_benchmark(arguments), arguments)
-    return report(arguments)
-
-
-def new_benchmark(arguments: argparse.Namespace) -> "tuple[Benchmark, list[str]]":
-    """Opens the benchmark that the options describe; returns it with the names of their methods.
-
-    Checks the whole request before anything is computed or written.
+    Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
     """
-    from geort_drake import HandModel
-    from geort_drake.benchmark.run import Benchmark, Settings
-    from geort_drake.benchmark.workers import join_cluster
-    from geort_drake.hands.description import load_hand
-    from geort_drake.methods import names_of
-    from geort_drake.simulation.tasks import find_task
 
-    scenarios = scenarios_of(arguments)
-    first = next(iter(scenarios.values()))
-    chosen = QUICK if arguments.quick else {}
-    methods = arguments.methods or chosen.get("methods") or methods_for(first.hand)
-    objects = list(arguments.objects or chosen.get("objects") or ())
-    known = dict.fromkeys(
-        itertools.chain.from_iterable(find_task(variant.task).cases() for variant in scenarios)
-    )
-    for name in objects:
-        if name not in known and not arguments.quick:
-            raise UnknownNameError("object", name, known)
-    names = names_of(methods, HandModel(first.hand))
-    if arguments.backend == "ray":
-        join_cluster(arguments.jobs)
-    recording, operator = (
-        None if path is None else str(path.resolve()) for path in (arguments.recording, arguments.operator)
-    )
-    settings = Settings(
-        recording,
-        operator,
-        arguments.side or load_hand(first.hand).side,
-        arguments.seed,
-        arguments.zero_latency,
-        arguments.persons or [first.person],
-        objects,
-        arguments.trials or chosen.get("trials") or 30,
-        arguments.trainings,
-    )
-    return Benchmark(arguments.output, settings, scenarios, names), list(names)
+    output: Annotated[Path, arg(metavar="DIR")] = Path("runs/benchmark")
+    """folder for the results"""
+    tasks: Annotated[tuple[str, ...], _TASKS] = ()
+    kinds: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
+    """kinds of simulated people: servo, mimicry, adaptive (default: the scenario's; with --tasks, all)"""
+    methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
+    """methods listed below, maps or Python files; the first is the reference (default: all)"""
+    objects: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
+    """objects to grasp (default: all)"""
+    persons: Annotated[tuple[int, ...], arg(metavar="N ...")] = ()
+    """people of the population, by number; 0 has the hand of --recording (default: the scenario's)"""
+    trials: Annotated[int | None, arg(metavar="N")] = None
+    """trials per method, object and person (default: 30)"""
+    trainings: Annotated[int, arg(metavar="N")] = 1
+    """number of trainings of each trained method, with successive seeds; each does all trials"""
+    quick: bool = False
+    """small benchmark that takes two to five minutes on two cores"""
+    jobs: Annotated[int | None, arg(metavar="N")] = None
+    """number of parallel trials (default: the number of processors)"""
+    backend: Literal["loky", "ray"] = "loky"
+    """run on this machine (loky) or on a Ray cluster"""
+    zero_latency: bool = False
+    """do not simulate the methods' latencies"""
+    recording: Annotated[Path | None, arg(metavar="FILE")] = None
+    """recording of the person's hand (default: synthetic play)"""
+    operator: Annotated[Path | None, arg(metavar="FILE")] = None
+    """recording of the person who operates, such as another session or person (default: --recording)"""
+    vary: Annotated[tuple[str, ...], arg(metavar="FIELD=V1,V2 ...")] = ()
+    """repeat the trials with one field of the scenario changed, such as operator.visual_delay=0,0.1,0.3"""
+    side: Side | None = None
+    """side of the recorded hand (default: the robot hand's)"""
+    seed: int = 0
+    """seed of training and synthetic play"""
+    rrd: Annotated[tuple[str, ...], arg(metavar="METHOD OBJECT SEED")] = ()
+    """repeat a finished trial of --output and write its Rerun recording; --tasks, --kinds, --persons and
+    --vary select one of several"""
+    submit: Annotated[str | None, arg(metavar="METHOD")] = None
+    """add a method to the benchmark in --output, with its people, objects, seeds and settings"""
+    report: bool = False
+    """only rewrite the report in --output"""
+    json: Json = None
+
+    epilog = staticmethod(methods_epilog)
+
+    def run(self) -> int:
+        require_output_folder(self.output, "trials.jsonl")
+        require_json_file(self.json)
+        require(self.trials is None or self.trials > 0, "--trials", "a whole number from 1", self.trials)
+        require(self.trainings > 0, "--trainings", "a whole number from 1", self.trainings)
+        require(self.jobs is None or self.jobs > 0, "--jobs", "a whole number from 1", self.jobs)
+        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
+        require(
+            all(number >= 0 for number in self.persons), "--persons", "whole numbers from 0", self.persons
+        )
+        if self.rrd:
+            return self._repeat()
+        if self.submit:
+            for name in ("methods", "objects", "trials", "persons", "quick", "recording", "operator", "vary"):
+                if getattr(self, name):
+                    raise UsageError(f"--submit runs one method as --output states; leave out --{name}")
+            self._simulate(*stored_benchmark(self.output, [self.submit]))
+        elif not self.report:
+            self._simulate(*self._open())
+        return self._print_report()
+
+    @property
+    def _count(self) -> int:
+        return self.trials or (2 if self.quick else 30)
+
+    @property
+    def _cases(self) -> list[str]:
+        return list(self.objects or (QUICK_OBJECTS if self.quick else ()))
+
+    @property
+    def _jobs(self) -> int:
+        return self.jobs or os.cpu_count() or 1
+
+    def _open(self) -> "tuple[TrialBenchmark, list[str]]":
+        """Opens the benchmark that the options describe; returns it with the names of their methods.
+
+        Checks the whole request before anything is computed or written.
+        """
+        from geort_drake import HandModel
+        from geort_drake.benchmark.run import Benchmark, Settings
+        from geort_drake.benchmark.workers import join_cluster
+        from geort_drake.hands.description import load_hand
+        from geort_drake.methods import names_of
+        from geort_drake.simulation.tasks import find_task
+
+        scenarios = self._scenarios()
+        first = next(iter(scenarios.values()))
+        methods = self.methods or (QUICK_METHODS if self.quick else methods_for(first.hand))
+        objects = self._cases
+        known = dict.fromkeys(
+            itertools.chain.from_iterable(find_task(variant.task).cases() for variant in scenarios)
+        )
+        for name in objects:
+            if name not in known and not self.quick:
+                raise UnknownNameError("object", name, known)
+        names = names_of(methods, HandModel(first.hand))
+        if self.backend == "ray":
+            join_cluster(self._jobs)
+        recording, operator = (
+            None if path is None else str(path.resolve()) for path in (self.recording, self.operator)
+        )
+        settings = Settings(
+            recording,
+            operator,
+            self.side or load_hand(first.hand).side,
+            self.seed,
+            self.zero_latency,
+            list(self.persons) or [first.person],
+            objects,
+            self._count,
+            self.trainings,
+        )
+        return Benchmark(self.output, settings, scenarios, names), list(names)
+
+    def _scenarios(self) -> "dict[Variant, Scenario]":
+        """Returns the scenarios of the requested tasks and kinds of people, and of --vary.
+
+        Raises:
+            UnknownNameError: there is no such task or kind.
+            ScenarioError: a scenario's text does not fit a task.
+        """
+        from geort_drake import load_scenario
+        from geort_drake.benchmark.run import Variant, vary
+        from geort_drake.console import warn
+        from geort_drake.simulation.scenario_files import check_scenario
+        from geort_drake.simulation.tasks import find_task
+
+        if self.tasks:
+            bases = [
+                load_scenario(text=self.scenario_text, hand=self.hand, task=find_task(name).name)
+                for name in self.tasks
+            ]
+        else:
+            bases = [self.load_scenario()]
+        known = list(dict.fromkeys(kind for base in bases for kind in find_task(base.task).kinds))
+        for kind in self.kinds or ():
+            if kind not in known:
+                raise UnknownNameError("kind of person for these tasks", kind, known)
+        scenarios: dict[Variant, Scenario] = {}
+        for base in bases:
+            kinds = self.kinds or (known if self.tasks else [base.kind])
+            kinds = [kind for kind in kinds if kind in find_task(base.task).kinds]
+            if not kinds:
+                warn(f"left out: {base.task}, which has people of other kinds only")
+            for kind in kinds:
+                scenario = copy.deepcopy(base)
+                scenario.kind = kind
+                check_scenario(scenario)
+                scenarios[Variant(base.task, kind)] = scenario
+                for condition, changed in vary(scenario, self.vary).items():
+                    scenarios[Variant(base.task, kind, condition)] = changed
+        return scenarios
+
+    def _simulate(self, benchmark: "TrialBenchmark", methods: Sequence[str]) -> None:
+        """Runs the unfinished trials of some methods; plans all cases before the first trial."""
+        from geort_drake.benchmark.log import TrialLog, key_of
+        from geort_drake.console import say, track, warn
+
+        settings, jobs, backend = benchmark.settings, self._jobs, self.backend
+        new = not self.submit
+        with TrialLog(benchmark.folder) as log:
+            keys = benchmark.keys(
+                methods,
+                self._cases if new else settings.objects,
+                (self.persons if new else None) or settings.persons,
+                self._count if new else settings.trials,
+            )
+            left = log.unfinished(keys)
+            say(f"trials: {len(keys)}, already finished: {len(keys) - len(left)}")
+            if not left:
+                return
+            cases = len({(key[2:5], key.object) for key in left})
+            for _ in track("planning", benchmark.plan(left, jobs, backend), cases, str):
+                pass
+            for case, reason in settings.refused.items():
+                warn(f"left out: {case}: {reason}")
+            left = [key for key in left if not benchmark.is_refused(key)]
+            rows = benchmark.run(log, left, jobs, backend)
+            for _ in track("simulating", rows, len(left), lambda row: f"{key_of(row)}: {_outcome(row)}"):
+                pass
+
+    def _print_report(self) -> int:
+        """Writes and prints the report; returns the exit code."""
+        from geort_drake.benchmark.report import REPORT, write_report
+        from geort_drake.console import print_table, warn
+
+        written = write_report(self.output)
+        rows = [
+            [task, condition or kind, row["method"], str(row["trials"]), row["success"].text(),
+             row["time"].text("{:.1f}", 1.0), row["difference"].text("{:+.0f}")]
+            for (task, kind, condition), figures in written.tables.items()
+            for row in figures.to_dict("records")
+        ]  # fmt: skip
+        headings = ("task", "person", "method", "trials", "success, %", "time, s", "to first")
+        caption = (
+            "with 95 % intervals; time: failures count as the timeout; to first: success minus the first's"
+        )
+        print_table(headings, rows, "Benchmark", caption, text=("person", "method"))
+        if written.errors:
+            warn(f"trials that raised an error: {written.errors}; see report.md")
+        write_json(self.json, written.to_json())
+        finish({"Report": self.output / REPORT})
+        return 1 if written.errors else 0
+
+    def _repeat(self) -> int:
+        """Simulates a finished trial again and records it."""
+        from geort_drake.benchmark.log import TRIALS, key_of, read_rows
+        from geort_drake.console import progress_bar, say
+
+        if len(self.rrd) != 3 or not self.rrd[2].isdecimal():
+            raise UsageError(f"--rrd: give METHOD OBJECT SEED, not {' '.join(self.rrd)}")
+        method, case, seed = self.rrd[0], self.rrd[1], int(self.rrd[2])
+        keys = [key_of(row) for row in read_rows(self.output / TRIALS)]
+        wanted = {"tasks": "task", "kinds": "kind", "persons": "person", "vary": "condition"}
+        found = [
+            key
+            for key in keys
+            if (key.method, key.object, key.seed) == (method, case, seed)
+            and all(getattr(key, field) in (getattr(self, name) or [getattr(key, field)])
+                    for name, field in wanted.items())
+        ]  # fmt: skip
+        if len(found) != 1:
+            listed = found or [key for key in keys if key.object == case] or keys
+            what = "trial; several have this method, object and seed" if found else "finished trial"
+            raise UnknownNameError(what, " ".join(self.rrd), map(str, listed))
+        benchmark, _ = stored_benchmark(self.output, [method])
+        with progress_bar() as display, display.spinner("simulating"):
+            row, path = benchmark.repeat(found[0])
+        if "error" in row:
+            say(row["traceback"])
+            return 1
+        finish({"Outcome": row["outcome"]}, view(path))
+        return 0
 
 
-def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[Benchmark, list[str]]":
+def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[TrialBenchmark, list[str]]":
     """Opens a folder's benchmark as its settings state, with some methods, and returns both.
 
     Raises:
@@ -160,130 +306,5 @@ def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[Benchmark, 
     return Benchmark(folder, settings, scenarios, names), list(names)
 
 
-def scenarios_of(arguments: argparse.Namespace) -> "dict[Variant, Scenario]":
-    """Returns the scenarios of the requested tasks and kinds of people, and of --vary.
-
-    Raises:
-        UnknownNameError: there is no such task or kind.
-        ScenarioError: a scenario's text does not fit a task.
-    """
-    import copy
-
-    from geort_drake import load_scenario
-    from geort_drake.benchmark.run import Variant, vary
-    from geort_drake.console import warn
-    from geort_drake.simulation.scenario_files import check_scenario
-    from geort_drake.simulation.tasks import find_task
-
-    if arguments.tasks:
-        bases = [
-            load_scenario(text=arguments.scenario_text, hand=arguments.hand, task=find_task(name).name)
-            for name in arguments.tasks
-        ]
-    else:
-        bases = [scenario_of(arguments)]
-    known = list(dict.fromkeys(kind for base in bases for kind in find_task(base.task).kinds))
-    for kind in arguments.kinds or ():
-        if kind not in known:
-            raise UnknownNameError("kind of person for these tasks", kind, known)
-    scenarios: dict[Variant, Scenario] = {}
-    for base in bases:
-        kinds = arguments.kinds or (known if arguments.tasks else [base.kind])
-        kinds = [kind for kind in kinds if kind in find_task(base.task).kinds]
-        if not kinds:
-            warn(f"left out: {base.task}, which has people of other kinds only")
-        for kind in kinds:
-            scenario = copy.deepcopy(base)
-            scenario.kind = kind
-            check_scenario(scenario)
-            scenarios[Variant(base.task, kind)] = scenario
-            for condition, changed in vary(scenario, arguments.vary).items():
-                scenarios[Variant(base.task, kind, condition)] = changed
-    return scenarios
-
-
-def simulate(benchmark: "Benchmark", methods: Sequence[str], arguments: argparse.Namespace) -> None:
-    """Runs the unfinished trials of some methods; plans all cases before the first trial."""
-    from geort_drake.benchmark.log import TrialLog, key_of
-    from geort_drake.console import say, track, warn
-
-    settings, jobs, backend = benchmark.settings, arguments.jobs, arguments.backend
-    new = not arguments.submit
-    objects = arguments.objects or (QUICK["objects"] if arguments.quick else ())
-    with TrialLog(benchmark.folder) as log:
-        keys = benchmark.keys(
-            methods,
-            objects if new else settings.objects,
-            (arguments.persons if new else None) or settings.persons,
-            (arguments.trials or (QUICK["trials"] if arguments.quick else 30)) if new else settings.trials,
-        )
-        left = log.unfinished(keys)
-        say(f"trials: {len(keys)}, already finished: {len(keys) - len(left)}")
-        if not left:
-            return
-        cases = len({(key[2:5], key.object) for key in left})
-        for _ in track("planning", benchmark.plan(left, jobs, backend), cases, str):
-            pass
-        for case, reason in settings.refused.items():
-            warn(f"left out: {case}: {reason}")
-        left = [key for key in left if not benchmark.is_refused(key)]
-        rows = benchmark.run(log, left, jobs, backend)
-        for _ in track("simulating", rows, len(left), lambda row: f"{key_of(row)}: {_outcome(row)}"):
-            pass
-
-
 def _outcome(row: dict) -> str:
     return "error" if "error" in row else row["outcome"]
-
-
-def report(arguments: argparse.Namespace) -> int:
-    """Writes and prints the report; returns the exit code."""
-    from geort_drake.benchmark.report import REPORT, write_report
-    from geort_drake.console import print_table, warn
-
-    written = write_report(arguments.output)
-    rows = [
-        [task, condition or kind, row["method"], str(row["trials"]), row["success"].text(),
-         row["time"].text("{:.1f}", 1.0), row["difference"].text("{:+.0f}")]
-        for (task, kind, condition), figures in written.tables.items()
-        for row in figures.to_dict("records")
-    ]  # fmt: skip
-    headings = ("task", "person", "method", "trials", "success, %", "time, s", "to first")
-    caption = "with 95 % intervals; time: failures count as the timeout; to first: success minus the first's"
-    print_table(headings, rows, "Benchmark", caption, text=("person", "method"))
-    if written.errors:
-        warn(f"trials that raised an error: {written.errors}; see report.md")
-    write_json(arguments.json, written.to_json())
-    finish({"Report": arguments.output / REPORT})
-    return 1 if written.errors else 0
-
-
-def repeat(arguments: argparse.Namespace) -> int:
-    """Simulates a finished trial again and records it."""
-    from geort_drake.benchmark.log import TRIALS, key_of, read_rows
-    from geort_drake.console import progress_bar, say
-
-    if len(arguments.rrd) != 3 or not arguments.rrd[2].isdecimal():
-        raise UsageError(f"--rrd: give METHOD OBJECT SEED, not {' '.join(arguments.rrd)}")
-    method, case, seed = arguments.rrd[0], arguments.rrd[1], int(arguments.rrd[2])
-    keys = [key_of(row) for row in read_rows(arguments.output / TRIALS)]
-    wanted = {"tasks": "task", "kinds": "kind", "persons": "person", "vary": "condition"}
-    found = [
-        key
-        for key in keys
-        if (key.method, key.object, key.seed) == (method, case, seed)
-        and all(getattr(key, field) in (getattr(arguments, name) or [getattr(key, field)])
-                for name, field in wanted.items())
-    ]  # fmt: skip
-    if len(found) != 1:
-        listed = found or [key for key in keys if key.object == case] or keys
-        what = "trial; several have this method, object and seed" if found else "finished trial"
-        raise UnknownNameError(what, " ".join(arguments.rrd), map(str, listed))
-    benchmark, _ = stored_benchmark(arguments.output, [method])
-    with progress_bar() as display, display.spinner("simulating"):
-        row, path = benchmark.repeat(found[0])
-    if "error" in row:
-        say(row["traceback"])
-        return 1
-    finish({"Outcome": row["outcome"]}, view(path))
-    return 0
