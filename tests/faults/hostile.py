@@ -290,7 +290,7 @@ def hand(text: str) -> Make:
     def make(folder: Path) -> tuple:
         path = folder / "hand.yaml"
         path.write_text(text)
-        return "train", "--hand", path, "--robot-samples", 10, "--output", "out", "--quiet"
+        return "train", "--hand", path, "--set", "robot_samples=10", "--output", "out.safetensors", "--quiet"
 
     return make
 
