@@ -36,6 +36,8 @@ def photographs(
     command += ["--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen"]
     viewer = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
     try:
+        while socket.socket().connect_ex(("127.0.0.1", port)):
+            time.sleep(0.2)
         client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
         client.open(str(recording.resolve()))
         while (state := client.get_state()).loading or not state.recordings:
