@@ -30,12 +30,17 @@ class RobotBus(Protocol):
 
     Attributes:
         arm_is_required: whether the robot always has an arm.
-        refused, last_refusal: number of states that could not be used, and why the last could not.
     """
 
     arm_is_required: bool
-    refused: int
-    last_refusal: str
+
+    @property
+    def refused(self) -> int:
+        """Number of states that could not be used."""
+
+    @property
+    def last_refusal(self) -> str:
+        """Why the last of them could not be used."""
 
     def send(self, targets: JointTargets) -> None:
         """Sends joint targets."""
@@ -71,10 +76,7 @@ def open_stand_in_bus(address: str, description: HandDescription) -> "StandInBus
 
 
 class StandInBus(Protocol):
-    """The driver's end of a bus; attributes as in `RobotBus`."""
-
-    refused: int
-    last_refusal: str
+    """The driver's end of a bus."""
 
     def send(self, state: JointState) -> None:
         """Sends a joint state."""

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValues, EventStatus
+from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValues, EventStatus, InputPort
 
 from geort_drake.errors import LiveError
 from geort_drake.live.glove_stream import POLL_PERIOD
@@ -134,7 +134,7 @@ class RobotLink(PythonSystem):
             return ""
         return f"; {self.bus.refused} messages were refused, the last: {self.bus.last_refusal}"
 
-    def _declare_group(self, group: JointGroup) -> tuple[JointGroup, object, DiscreteStateIndex]:
+    def _declare_group(self, group: JointGroup) -> tuple[JointGroup, InputPort, DiscreteStateIndex]:
         n = len(group.joints)
         port = self.DeclareVectorInputPort(f"{group.name}_desired_state", 2 * n)
         state = self.DeclareDiscreteState(np.full(2 * n, math.nan))
@@ -168,7 +168,7 @@ class RobotLink(PythonSystem):
         for group, port, _ in self._ports:
             if group in self._groups:
                 names += group.joints
-                parts.append(port.Eval(context).reshape(2, -1))  # type: ignore[attr-defined]
+                parts.append(port.Eval(context).reshape(2, -1))
         position, velocity = np.concatenate(parts, axis=1)
         self._sequence += 1
         engaged = bool(self._engaged.Eval(context)[0] >= 0.5)
