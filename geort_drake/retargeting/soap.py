@@ -64,6 +64,15 @@ class Soap:
         for group, state, gradient in zip(self.param_groups, self._states, gradients, strict=True):
             state.move(gradient, **group)
 
+    def state_dict(self) -> list[dict[str, Any]]:
+        """Returns the averages, bases and numbers of steps of all groups, for files."""
+        return [state.state_dict() for state in self._states]
+
+    def load_state_dict(self, states: Sequence[dict[str, Any]]) -> None:
+        """Restores the result of `state_dict` of an optimiser of equal parameters."""
+        for state, saved in zip(self._states, states, strict=True):
+            state.load_state_dict(saved)
+
 
 class _State:
     """The state of a group of parameters.
@@ -78,6 +87,16 @@ class _State:
         self._mean, self._variance = torch.zeros_like(_flat(parameters)), torch.zeros_like(_flat(parameters))
         self._means = self._parts(self._mean)
         self._bases: list[_Bases] = []
+
+    def state_dict(self) -> dict[str, Any]:
+        bases = [basis.tensors for basis in self._bases]
+        return {"steps": self._steps, "mean": self._mean, "variance": self._variance, "bases": bases}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        self._steps = saved["steps"]
+        self._mean.copy_(saved["mean"])
+        self._variance.copy_(saved["variance"])
+        self._bases = [_Bases.of(tensors) for tensors in saved["bases"]]
 
     def _parts(self, flat: torch.Tensor) -> list[torch.Tensor]:
         """Returns views (M, a, b) of the parts of each parameter."""
@@ -125,6 +144,21 @@ class _Bases:
         if self._matrix:
             self._squares = [torch.bmm(gradient, gradient.mT), torch.bmm(gradient.mT, gradient)]
             self._left, self._right = (torch.linalg.eigh(square).eigenvectors for square in self._squares)
+
+    @property
+    def tensors(self) -> list[torch.Tensor]:
+        """The averages and the bases; empty for a vector."""
+        return [*self._squares, self._left, self._right] if self._matrix else []
+
+    @classmethod
+    def of(cls, tensors: Sequence[torch.Tensor]) -> "_Bases":
+        """Makes the bases from `tensors`."""
+        bases = cls.__new__(cls)
+        bases._matrix = bool(tensors)
+        if tensors:
+            first, second, bases._left, bases._right = tensors
+            bases._squares = [first, second]
+        return bases
 
     def into(self, x: torch.Tensor) -> torch.Tensor:
         """Transforms x (M, a, b) into the bases."""

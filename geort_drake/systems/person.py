@@ -6,9 +6,7 @@ import numpy as np
 
 from geort_drake.errors import GeortError
 from geort_drake.people.keypoints import BONES, bone_lengths
-
-# Number of different good frames from which the hand is measured: 0.3 s of a glove, 1 s of a camera.
-MEASURED_FRAMES = 30
+from geort_drake.retargeting.universal import MEASURED_FRAMES
 
 # Bone lengths are compared at this period, as averages over about this time, s.
 _PERIOD, _AVERAGING_TIME = 0.1, 1.0

@@ -1,0 +1,369 @@
+"""What the universal map is asked for: its settings, an objective, and constraints whose multipliers adapt.
+
+The objective is posture. Each constraint is a differentiable loss and a figure; its bound applies to the
+figure. Distances of robot fingertips are in units of the fingertip radius, so that small hands close their
+pinches.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch.nn.functional import cosine_similarity
+
+from geort_drake.errors import TrainingError
+from geort_drake.hands.kinematics import HandKinematics
+from geort_drake.retargeting.collision import CollisionGaps
+from geort_drake.retargeting.kinematics import fingertips
+
+# Of robot fingertips in contact, in tip radii: their centres are two radii apart.
+TOUCH = 2.0
+CONSTRAINTS = (
+    "direction", "track", "cross_talk", "size", "open_pinch", "deep_pinch", "false_pinch", "collision",
+)  # fmt: skip
+# Maps hands (G, N, F, 3), m, of G people with shapes (G, 4F), m, to joint angles (G, N, n), rad.
+Network = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+@dataclass(frozen=True)
+class UniversalSettings:
+    """All constants of the training, with their reasons. Lengths are in m unless a field says otherwise.
+
+    The first eight bounds apply to running means over training hands, many of which are harder than recorded
+    ones. Bounds that exclude each other are exceeded; then `multiplier_bounds` weighs them.
+    """
+
+    steps: int = 10_000  # gradient steps; 7,000 cost 0.005 in motion preservation, and 4,000 twice that
+    people: int = 400  # hands of the population, so many that the shapes between them are interpolated
+    play_s: float = 40.0  # s, of each person's play, in which most people make all of their movements
+    # Bounds of the constraints:
+    direction: float = 0.030  # 1 − mean cosine between motions of human and robot fingertips
+    track: float = 0.030  # the same for recorded steps, in which all fingers move
+    cross_talk: float = 0.040  # mean motion of the other fingertips over that of the moved one
+    size: float = 0.35  # fraction of motions with a gain outside the band; at a half, its edge is the median
+    open_pinch: float = 0.010  # fraction of pinches in which the robot's fingertips do not touch
+    deep_pinch: float = 0.010  # fraction of pinches in which they overlap by most of their diameter
+    false_pinch: float = 0.001  # fraction of pairs that touch although the person's are apart
+    collision: float = 0.001  # fraction of hands in which links overlap by `collision_depth_m`
+    # The objective:
+    posture_weight: float = 8.0  # 5 adds 4° to the median angle and 14° to p90, 10 costs 0.001 in direction
+    posture_first: float = 4.0  # factor on it at first, because fingers that formed a wrong posture keep it
+    posture_first_share: float = 0.12  # fraction of the steps in which this factor falls to 1
+    # Size. A hand's shape does not tell how far its owner moves:
+    size_quantile: float = 0.05  # of the affine fits of all people; people who use their range most
+    gain_band: tuple[float, float] = (-0.22, 0.5)  # log of gain over that fit's: 20 % below to 65 % above
+    least_cosine: float = 0.3  # of a motion that a fingertip with one or two joints can follow
+    # Pinches; robot distances in fingertip radii, of which contact takes two:
+    pinch_target: float = 0.875  # distance at which pinches are aimed, so that noise does not open them
+    pinch_scale: float = 0.667  # distance from the target at which the loss turns from quadratic to linear
+    deep: float = 0.333  # distance below which fingertips overlap by most of their diameter
+    deep_margin: float = 0.5  # distance at which the loss of deep pinches begins
+    false_margin: float = 0.25  # distance beyond contact at which the loss of false pinches begins
+    depth_scale: float = 0.4  # unit of the depths of deep and false pinches
+    apart_m: tuple[float, float] = (
+        0.027,
+        0.030,
+    )  # of human fingertips: loss, and figure of false pinches
+    # Self-collision:
+    collision_near_m: float = 0.003  # gap below which pairs of links are examined
+    collision_margin_m: float = 0.001  # gap that is wanted
+    collision_depth_m: float = 0.002  # overlap that counts
+    collision_scale_m: float = 0.0025  # unit of the loss
+    collision_jitter_m: float = 0.004  # deviation of remembered fingertips, so that their surroundings count
+    collision_every: int = 3  # steps between losses, which cost half a step
+    collision_search_every: int = 20  # steps between searches, which cost a step
+    remembered_collisions: int = 4000  # hands; older ones are forgotten
+    drawn_collisions: int = 64  # hands per loss
+    # Batches:
+    people_per_batch: int = 12  # few, because gradients of other people average over steps
+    moved: int = 20  # hands of each person with one moved fingertip
+    steps_per_person: int = 12  # recorded steps of each
+    pinches: int = 8  # recorded pinches of each; as many again are synthetic
+    step_m: tuple[float, float] = (0.001, 0.011)  # motions of one fingertip, as in evaluations
+    step_range_m: tuple[float, float] = (0.001, 0.03)  # recorded steps: shorter ones are noise, longer gaps
+    step_lags: tuple[int, ...] = (1, 2, 3)  # frames between both hands of a step
+    anchors: int = 400  # frames per person and finger, uniform over the finger's places
+    anchor_voxel_m: float = 0.002  # edge of such a place
+    shapes_per_person: int = 8  # shapes of all frames, of one, and of windows of random lengths
+    mixed: float = 0.35  # fraction of moved hands whose other fingers are from other frames
+    spread: float = 0.3  # fraction of hands whose fingertips are displaced, as play leaves gaps
+    spread_m: float = 0.006  # deviation of these
+    pinch_reach_m: float = 0.035  # fingertips closer than this are moved together in synthetic pinches
+    pinch_spread_m: float = 0.005  # deviation of synthetic pinches from recorded ones
+    # Network:
+    finger_units: int = 64  # width of both hidden layers of a finger
+    residual_units: int = 128  # width of both hidden layers of the residual
+    shape_units: int = 48  # width of both layers that process the shape
+    # Descent:
+    learning_rate: float = 0.003  # of SOAP; falls to zero along half a cosine
+    warm_up: int = 100  # steps in which the learning rate rises
+    weight_decay: float = 0.01  # three times as much for parts that see combinations
+    momentum: tuple[float, float] = (0.95, 0.99)  # high, because gradients differ between people
+    clip: float = 2.0  # largest norm of a gradient
+    averaged_steps: int = 90  # time constant of the average of the weights
+    multiplier_start: float = 1.0  # of every constraint
+    multiplier_rate: float = 0.006  # change of its logarithm per step at twice the bound
+    # The same of collision, whose loss is on hands chosen because they collide; a fast multiplier would drown
+    # all other losses.
+    collision_rate: float = 0.0006
+    multiplier_bounds: tuple[float, float] = (0.1, 30.0)  # limits of a multiplier
+    figure_averaging: float = 0.02  # weight of a batch in the running mean of a figure
+    robot_samples: int = 60_000  # joint angles, whose fingertips are the robot's workspace
+
+    def validate(self) -> None:
+        """Raises TrainingError if a setting is out of range."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int | float) and not value > 0:
+                raise TrainingError(f"training: {field.name} must be positive, it is {value}")
+
+
+@dataclass(frozen=True)
+class Hands:
+    """A batch of hands of G people: fingertips (G, ·, F, 3) in H, m.
+
+    Attributes:
+        shapes: (G, 4F) shapes of the people's hands, m.
+        moved: hands whose finger `finger` (G, ·) moves by d (G, ·, 3), m.
+        before, after: hands at the beginning and the end of recorded steps.
+        pinching: hands whose pair `pinch_pair` (G, ·) meets where `pinched` (G, ·) is true.
+        directions: directions (G, ·, F, 3) of the distal bones in `seen`.
+    """
+
+    shapes: torch.Tensor
+    moved: torch.Tensor
+    finger: torch.Tensor
+    d: torch.Tensor
+    before: torch.Tensor
+    after: torch.Tensor
+    pinching: torch.Tensor
+    pinch_pair: torch.Tensor
+    pinched: torch.Tensor
+    directions: torch.Tensor
+
+    @property
+    def seen(self) -> torch.Tensor:
+        """(G, ·, F, 3) the hands whose pinches, collisions and posture count."""
+        return torch.cat([self.moved, self.after, self.pinching], 1)
+
+
+class DistalDirections:
+    """Computes the unit vectors from each finger's last joint to its tip, in B."""
+
+    def __init__(self, kinematics: HandKinematics):
+        chains = [dataclasses.replace(chain, p_tip=np.zeros(3)) for chain in kinematics.fingers]
+        self._last_joints = dataclasses.replace(kinematics, fingers=tuple(chains))
+        lengths = [np.linalg.norm(chain.p_tip) for chain in kinematics.fingers]
+        self._lengths = torch.tensor(np.array(lengths)[:, None])
+
+    def __call__(self, q: torch.Tensor, tips: torch.Tensor) -> torch.Tensor:
+        """Returns (..., F, 3) for joint angles q (..., n), rad, and the fingertips (..., F, 3) there, m."""
+        return (tips - fingertips(self._last_joints, q)) / self._lengths.to(tips)
+
+
+class Criteria:
+    """Computes the objective and the constraints of a map.
+
+    Args:
+        kinematics: kinematics of the robot hand.
+        pairs: pairs of finger numbers that pinch.
+        size: (F,) the robot's motion over the person's, times the length of the person's finger, m; see
+            `train.affine_size`.
+        settings: weights and scales.
+    """
+
+    def __init__(
+        self,
+        kinematics: HandKinematics,
+        pairs: Sequence[tuple[int, int]],
+        size: torch.Tensor,
+        settings: UniversalSettings,
+    ):
+        self._kinematics, self._settings, self._size = kinematics, settings, size
+        self._first, self._second = (list(side) for side in zip(*pairs, strict=True))
+        self._directions = DistalDirections(kinematics)
+        few = [len(chain.joint_names) < 3 for chain in kinematics.fingers]
+        self._few_joints = torch.tensor(few, device=size.device)
+
+    def pair_distances(self, points: torch.Tensor) -> torch.Tensor:
+        """Returns distances (..., P) of pinching pairs of fingertips (..., F, 3); gradients are finite."""
+        d = points[..., self._first, :] - points[..., self._second, :]
+        return torch.sqrt(d.square().sum(-1) + 1e-10)
+
+    def __call__(
+        self, network: Network, hands: Hands
+    ) -> tuple[torch.Tensor, dict[str, tuple[torch.Tensor, torch.Tensor]]]:
+        """Returns the objective, and loss and figure of each constraint except collision, by name."""
+        one = torch.nn.functional.one_hot(hands.finger, hands.moved.shape[2])[..., None]
+        seen = hands.seen
+        parts = [seen, hands.moved + one * hands.d[:, :, None], hands.before]
+        q = network(torch.cat(parts, 1), hands.shapes)
+        tips = fingertips(self._kinematics, q)
+        seen_tips, ahead, before = tips.split([part.shape[1] for part in parts], dim=1)
+        moved, after, pinching = seen_tips.split(
+            [hands.moved.shape[1], hands.after.shape[1], hands.pinching.shape[1]], dim=1
+        )
+        motion = ahead - moved
+        own = of_finger(motion, hands.finger)
+        cosine = cosine_similarity(own, hands.d, dim=-1, eps=1e-7)
+        terms = {
+            "direction": _same_figure(_worse_half((1.0 - cosine).mean(1))),
+            "track": _same_figure(_worse_half(self._track(hands, after - before))),
+            "cross_talk": _same_figure(_worse_half(_cross_talk(motion, hands.finger))),
+            "size": self._size_error(own, cosine, hands),
+            **self._pinches(hands, pinching),
+            "false_pinch": self._false_pinches(seen, seen_tips),
+        }
+        directions = self._directions(q[:, : seen.shape[1]], seen_tips)
+        return (1.0 - (directions * hands.directions).sum(-1)).mean(), terms
+
+    def _track(self, hands: Hands, answer: torch.Tensor) -> torch.Tensor:
+        """Returns (G,) the mean of 1 − cosine over the recorded steps of each person."""
+        step = hands.after - hands.before
+        length, (least, most) = step.norm(dim=-1), self._settings.step_range_m
+        weight = ((length > least) & (length < most)).float()
+        error = 1.0 - cosine_similarity(answer, step, dim=-1, eps=1e-7)
+        return (error * weight).sum((1, 2)) / (weight.sum((1, 2)) + 1e-9)
+
+    def _size_error(
+        self, own: torch.Tensor, cosine: torch.Tensor, hands: Hands
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Returns the mean excess of the log gain over its band, and its frequency.
+
+        A fingertip with fewer than three joints moves on a curve or a surface. Its gain refers to the
+        component of d along its motion; motions that it hardly follows do not count.
+        """
+        settings, fingers = self._settings, hands.moved.shape[2]
+        length = hands.shapes[:, 3 * fingers :].gather(1, hands.finger)
+        reference = torch.log(self._size[hands.finger] / length)
+        gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / hands.d.square().sum(-1)) - reference
+        counted = torch.ones_like(gain)
+        if self._few_joints.any():
+            limited = self._few_joints[hands.finger]
+            gain = torch.where(limited, gain - torch.log(cosine.clamp(min=settings.least_cosine)), gain)
+            counted = (~limited | (cosine > settings.least_cosine)).float()
+        low, high = settings.gain_band
+        excess = torch.relu(low - gain) + torch.relu(gain - high)
+        return _mean(excess, counted), _mean(excess > 0, counted)
+
+    def _pinches(self, hands: Hands, tips: torch.Tensor) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
+        settings, weight = self._settings, hands.pinched.float()
+        distance = self.pair_distances(tips) / self._kinematics.tip_radius
+        distance = distance.gather(-1, hands.pinch_pair[..., None])[..., 0]
+        # Quadratic near the target, linear far from it.
+        e = (distance - settings.pinch_target).abs() / settings.pinch_scale
+        deep = torch.relu(settings.deep_margin - distance) / settings.depth_scale
+        return {
+            "open_pinch": (_mean(e.square() / (1.0 + e), weight), _mean(distance > TOUCH, weight)),
+            "deep_pinch": (_mean(deep, weight), _mean(distance < settings.deep, weight)),
+        }
+
+    def _false_pinches(self, seen: torch.Tensor, tips: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        settings, human = self._settings, self.pair_distances(seen)
+        distance = self.pair_distances(tips) / self._kinematics.tip_radius
+        depth = torch.relu(TOUCH + settings.false_margin - distance) / settings.depth_scale
+        nearly, apart = settings.apart_m
+        return _mean(depth, human > nearly), _mean(distance < TOUCH, human > apart)
+
+
+class NearCollisions:
+    """Remembers hands whose robot postures nearly collide, and computes a loss on them.
+
+    Few hands of a batch collide, so the loss of a batch alone would be too noisy.
+    """
+
+    def __init__(self, gaps: CollisionGaps, settings: UniversalSettings, generator: torch.Generator):
+        self._gaps, self._settings, self._generator = gaps, settings, generator
+        self.hands: torch.Tensor | None = None
+        self.shapes: torch.Tensor | None = None
+
+    @torch.no_grad()
+    def search(self, network: Network, hands: Hands) -> torch.Tensor:
+        """Remembers the hands of a batch that nearly collide; returns the fraction of `after` colliding."""
+        settings, seen = self._settings, hands.seen
+        margin, depth = settings.collision_margin_m, settings.collision_depth_m
+        q = network(seen, hands.shapes)
+        least = self._gaps.least(q.flatten(0, 1), settings.collision_near_m)
+        near = least < margin + 0.5 * depth
+        shapes = hands.shapes[:, None].expand(-1, seen.shape[1], -1).flatten(0, 1)[near]
+        seen = seen.flatten(0, 1)[near]
+        if self.hands is not None and self.shapes is not None:
+            seen, shapes = torch.cat([seen, self.hands]), torch.cat([shapes, self.shapes])
+        self.hands = seen[: settings.remembered_collisions]
+        self.shapes = shapes[: settings.remembered_collisions]
+        first = hands.moved.shape[1]
+        recorded = least.reshape(len(q), -1)[:, first : first + hands.after.shape[1]]
+        return (recorded < -depth).float().mean()
+
+    def loss(self, network: Network) -> torch.Tensor | None:
+        """Returns the mean depth beyond the margin; None while few hands are remembered."""
+        settings = self._settings
+        count = settings.drawn_collisions
+        if self.hands is None or self.shapes is None or len(self.hands) < count:
+            return None
+        chosen = torch.randint(len(self.hands), (count,), generator=self._generator)
+        hands = self.hands[chosen]
+        noise = torch.randn(hands.shape, generator=self._generator).to(hands.device)
+        q = network((hands + settings.collision_jitter_m * noise)[:, None], self.shapes[chosen])[:, 0]
+        row, pair, gap = self._gaps.near(q.detach(), settings.collision_near_m)
+        near = gap < settings.collision_near_m
+        margin = settings.collision_margin_m
+        return self._gaps.loss(q, row[near], pair[near], margin, settings.collision_scale_m)
+
+
+class Multipliers:
+    """One multiplier per constraint figure ≤ bound, adapted by multiplicative dual ascent.
+
+    The figures of batches are noisy, so each is averaged over about fifty batches.
+
+    Attributes:
+        values: multiplier of each constraint.
+        figures: running mean of each figure.
+    """
+
+    def __init__(self, bounds: Mapping[str, float], settings: UniversalSettings):
+        self._bounds, self._settings = dict(bounds), settings
+        self.values = dict.fromkeys(bounds, settings.multiplier_start)
+        self.figures: dict[str, float] = {}
+
+    def update(self, figures: Mapping[str, torch.Tensor]) -> None:
+        """Updates the multipliers from the figures of a batch."""
+        settings = self._settings
+        least, most = settings.multiplier_bounds
+        for name, figure in figures.items():
+            value = float(figure.detach())
+            mean = self.figures.get(name, value)
+            self.figures[name] = mean = mean + settings.figure_averaging * (value - mean)
+            violation = min(max(mean / self._bounds[name] - 1.0, -0.5), 1.5)
+            rate = settings.collision_rate if name == "collision" else settings.multiplier_rate
+            value = self.values[name] * math.exp(rate * violation)
+            self.values[name] = min(max(value, least), most)
+
+
+def of_finger(x: torch.Tensor, finger: torch.Tensor) -> torch.Tensor:
+    """Selects from x (G, N, F, ·) the finger (G, N) of each hand: (G, N, ·)."""
+    return x.gather(2, finger[..., None, None].expand(-1, -1, 1, x.shape[-1]))[:, :, 0]
+
+
+def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
+    """Returns (G,) the others' mean motion over the moved finger's; `floor`, m, keeps gradients finite."""
+    length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
+    own = length.gather(2, finger[..., None])[..., 0]
+    others = (length.sum(2) - own) / (motion.shape[2] - 1)
+    return others.mean(1) / (own.mean(1) + floor)
+
+
+def _worse_half(values: torch.Tensor) -> torch.Tensor:
+    """Returns the mean over the half of the people (G,) for whom a figure is worse."""
+    return values.topk((len(values) + 1) // 2).values.mean()
+
+
+def _mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    return (values * weight).sum() / (weight.sum() + 1e-9)
+
+
+def _same_figure(loss: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    return loss, loss

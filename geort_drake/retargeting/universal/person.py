@@ -1,0 +1,227 @@
+"""What the universal map knows of a person, and the map in NumPy.
+
+A person is the shape of their hand: knuckles and finger lengths, medians over a few frames. The shape acts
+through affine functions that precede the network's activations, so it folds once into the weights of an
+ordinary map of fingertips, which never changes.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from geort_drake.errors import CheckpointError
+from geort_drake.people.checks import require_wrist_frame_hand
+from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.retargeting.base import Retargeter, require_array
+from geort_drake.retargeting.mlp import MlpRetargeter
+from geort_drake.retargeting.trained_space import TrainedSpace
+
+MEASURED_FRAMES = 30  # different good frames that measure a hand: 0.3 s of a glove, 1 s of a camera
+PAIR_UNIT = 0.05  # m; unit of the vectors between the thumb's tip and the others
+MAX_DEVIATION = 3.0  # standard deviations of the training's people to which a shape is clamped
+_ALONE = "for fingertips alone, call the map that `for_person` returns"
+
+
+def hand_shape(p_HK: np.ndarray, finger_names: Sequence[str]) -> np.ndarray:
+    """Computes the shape (4F,), m, of a hand from its keypoints p_HK (T, 21, 3), m.
+
+    The shape has the knuckles' positions in H (the thumb's is the CMC joint), then the fingers' lengths from
+    knuckle to tip along the bones; both are medians over the frames.
+    """
+    chains = np.array([FINGER_KEYPOINTS[name] for name in finger_names])
+    bones = np.linalg.norm(np.diff(p_HK[:, chains], axis=2), axis=-1)
+    knuckles = np.median(p_HK[:, [BASE_KEYPOINT[name] for name in finger_names]], axis=0)
+    return np.concatenate([knuckles.ravel(), np.median(bones, axis=0).sum(axis=1)]).astype(np.float32)
+
+
+class UniversalRetargeter(Retargeter):
+    """Makes maps from the hands of any person to robot joint angles; needs only NumPy.
+
+    A call takes whole hands, and measures the shape of the hand on them.
+    """
+
+    kind = "universal"
+
+    def __init__(
+        self,
+        arrays: Mapping[str, np.ndarray],
+        finger_names: Sequence[str],
+        joint_names: Sequence[str],
+        human_keypoints: Sequence[int] | None,
+        lower: np.ndarray,
+        upper: np.ndarray,
+    ):
+        """Builds the map from its weights.
+
+        Args:
+            arrays: shape_mean, shape_deviation (4F,); shape_weight0 (4F, m), shape_bias0 (m,), shape_weight1
+                (m, m), shape_bias1 (m,); input_mean and input_scale (F, 3) of the inputs; input_weight
+                (m, 12F), input_bias (12F,); modulation_weight (4, F, m, h), modulation_bias (4, F, h);
+                residual_modulation_weight (2, m, r), residual_modulation_bias (2, r); and those of
+                `MlpRetargeter`, whose residual_weight0 is (3F + 3 (F − 1), r).
+            finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`; one finger must be
+                the thumb.
+
+        Raises:
+            CheckpointError: as in `MlpRetargeter`, or a finger is unknown, or there is no thumb.
+        """
+        if unknown := [name for name in finger_names if name not in TIP_KEYPOINT]:
+            raise CheckpointError(
+                f"finger_names: unknown {unknown[0]!r}; known are {', '.join(TIP_KEYPOINT)}"
+            )
+        if "thumb" not in finger_names:
+            raise CheckpointError(f"finger_names: 'thumb' is missing; there are {', '.join(finger_names)}")
+        super().__init__(finger_names, joint_names, human_keypoints, lower, upper)
+        self.arrays = arrays
+        self._thumb = self.finger_names.index("thumb")
+        self._weights = self._checked(arrays)
+        self._folded(self._weights["shape_mean"])  # also checks the arrays of the fingers
+
+    def _checked(self, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        fingers = len(self.finger_names)
+        units = require_array(arrays, "shape_weight0", (4 * fingers, -1)).shape[1]
+        hidden = require_array(arrays, "weight0", (fingers, 3, -1)).shape[2]
+        inputs = 3 * fingers + 3 * (fingers - 1)
+        residual = require_array(arrays, "residual_weight0", (inputs, -1)).shape[1]
+        shapes: dict[str, tuple[int, ...]] = {
+            "shape_mean": (4 * fingers,),
+            "shape_deviation": (4 * fingers,),
+            "shape_weight0": (4 * fingers, units),
+            "shape_bias0": (units,),
+            "shape_weight1": (units, units),
+            "shape_bias1": (units,),
+            "input_mean": (fingers, 3),
+            "input_scale": (fingers, 3),
+            "input_weight": (units, 12 * fingers),
+            "input_bias": (12 * fingers,),
+            "modulation_weight": (4, fingers, units, hidden),
+            "modulation_bias": (4, fingers, hidden),
+            "residual_modulation_weight": (2, units, residual),
+            "residual_modulation_bias": (2, residual),
+            "weight0": (fingers, 3, hidden),
+            "bias0": (fingers, 1, hidden),
+            "weight1": (fingers, hidden, hidden),
+            "bias1": (fingers, 1, hidden),
+            "residual_weight0": (inputs, residual),
+            "residual_bias0": (residual,),
+        }
+        weights = dict(arrays) | {name: require_array(arrays, name, shape) for name, shape in shapes.items()}
+        for name in ("shape_deviation", "input_scale"):
+            if not (weights[name] > 0).all():
+                raise CheckpointError(f"weights: '{name}' must be positive")
+        return weights
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Computes joint angles (n,) or (N, n), rad, of the person in keypoints (21, 3) or (N, 21, 3), m.
+
+        The shape of the hand is that of these frames. A map that stays the same from call to call, and also
+        takes fingertips alone, is `for_person`.
+
+        Raises:
+            ValueError: points have another shape.
+            RecordingError, MismatchError: see `require_wrist_frame_hand`.
+        """
+        return self._folded(self.shape(points))(points)
+
+    def _angles(self, p_HF: np.ndarray) -> np.ndarray:
+        raise ValueError(f"the shape of the hand is unknown: {_ALONE}")
+
+    def for_person(self, p_HK: np.ndarray) -> MlpRetargeter:
+        """Returns the map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m; it never changes.
+
+        `MEASURED_FRAMES` frames are enough. The map's `trained_space` contains the fingertips' positions in
+        the given frames.
+
+        Raises:
+            ValueError: points have another shape.
+            RecordingError, MismatchError: see `require_wrist_frame_hand`.
+        """
+        p_HK = self._finite_hands(p_HK)
+        retargeter = self._folded(hand_shape(p_HK, self.finger_names))
+        p_HF = p_HK[:, self.human_keypoints]
+        retargeter.trained_space = TrainedSpace.of_recording(p_HF, self.human_keypoints.tolist())
+        return retargeter
+
+    def shape(self, p_HK: np.ndarray) -> np.ndarray:
+        """Computes the shape (4F,), m, of the hand in keypoints p_HK (21, 3) or (T, 21, 3), m.
+
+        Raises:
+            ValueError: points have another shape.
+            RecordingError, MismatchError: see `require_wrist_frame_hand`.
+        """
+        return hand_shape(self._finite_hands(p_HK), self.finger_names)
+
+    def unusual(self, shape: np.ndarray) -> str:
+        """Names the part of a hand's shape (4F,), m, that is clamped for being unlike all training; or ""."""
+        z = np.abs((shape - self._weights["shape_mean"]) / self._weights["shape_deviation"])
+        number = int(np.argmax(z))
+        if z[number] <= MAX_DEVIATION:
+            return ""
+        knuckles = 3 * len(self.finger_names)
+        part, finger = ("base", number // 3) if number < knuckles else ("length", number - knuckles)
+        return (
+            f"{part} of the {self.finger_names[finger]}: {z[number]:.1f} deviations from the average person; "
+            f"the map is for up to {MAX_DEVIATION:g}"
+        )
+
+    @staticmethod
+    def _finite_hands(p_HK: np.ndarray) -> np.ndarray:
+        """Returns the finite frames (T, 21, 3) of hands, which are checked."""
+        p_HK = np.asarray(p_HK, dtype=float)
+        if p_HK.shape[-2:] != (KEYPOINT_COUNT, 3):
+            raise ValueError(
+                f"the hand's shape is measured on whole hands, (T, {KEYPOINT_COUNT}, 3), not on points of "
+                f"shape {p_HK.shape}; {_ALONE}"
+            )
+        require_wrist_frame_hand(p_HK)
+        p_HK = p_HK.reshape(-1, KEYPOINT_COUNT, 3)
+        return p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
+
+    def _folded(self, shape: np.ndarray) -> MlpRetargeter:
+        retargeter = MlpRetargeter(
+            self._folded_arrays(shape),
+            self.finger_names,
+            self.joint_names,
+            self.human_keypoints.tolist(),
+            self.lower,
+            self.upper,
+        )
+        retargeter.robot_hands, retargeter.info = self.robot_hands, self.info
+        return retargeter
+
+    def _folded_arrays(self, shape: np.ndarray) -> dict[str, np.ndarray]:
+        """Returns the weights of the map of the person with a hand of this shape (4F,), m."""
+        arrays, fingers, shape = self._weights, len(self.finger_names), np.asarray(shape, dtype=float)
+        z = (shape - arrays["shape_mean"]) / arrays["shape_deviation"]
+        z = np.clip(z, -MAX_DEVIATION, MAX_DEVIATION)
+        for k in range(2):
+            z = z @ arrays[f"shape_weight{k}"] + arrays[f"shape_bias{k}"]
+            z = 0.5 * z * (1.0 + np.tanh(0.5 * z))  # silu
+        inputs = z @ arrays["input_weight"] + arrays["input_bias"]
+        modulation = z @ arrays["modulation_weight"] + arrays["modulation_bias"]
+        gain0, offset0, gain1, offset1 = modulation[:, :, None]  # each (F, 1, h)
+        gain, offset = z @ arrays["residual_modulation_weight"] + arrays["residual_modulation_bias"]
+
+        # x' = p M + v of each finger.
+        knuckles = shape[: 3 * fingers].reshape(fingers, 3)
+        lengths = shape[3 * fingers :, None]
+        own = np.eye(3) + inputs[: 9 * fingers].reshape(fingers, 3, 3)
+        M = own / (lengths * arrays["input_scale"])[:, :, None]
+        origin = (knuckles / lengths + arrays["input_mean"]) / arrays["input_scale"]
+        v = inputs[9 * fingers :].reshape(fingers, 1, 3) - origin[:, None] @ own
+
+        shared, pairs = np.split(arrays["residual_weight0"], [3 * fingers])
+        shared = shared.reshape(fingers, 3, -1)
+        residual = M @ shared
+        pairs = pairs.reshape(fingers - 1, 3, -1) / PAIR_UNIT
+        residual[self._thumb] += pairs.sum(axis=0)
+        residual[np.arange(fingers) != self._thumb] -= pairs
+        bias = (v @ shared).sum(axis=0)[0] + arrays["residual_bias0"]
+        return arrays | {
+            "weight0": (M @ arrays["weight0"]) * (1.0 + gain0),
+            "bias0": (v @ arrays["weight0"] + arrays["bias0"]) * (1.0 + gain0) + offset0,
+            "weight1": arrays["weight1"] * (1.0 + gain1),
+            "bias1": arrays["bias1"] * (1.0 + gain1) + offset1,
+            "residual_weight0": residual.reshape(3 * fingers, -1) * (1.0 + gain),
+            "residual_bias0": bias * (1.0 + gain) + offset,
+        }

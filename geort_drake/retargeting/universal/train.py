@@ -1,0 +1,480 @@
+"""Trains the universal map of a robot hand on synthetic people, and writes its file."""
+
+import dataclasses
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+
+from geort_drake.errors import TrainingError
+from geort_drake.files import atomic_path
+from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
+from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT
+from geort_drake.people.recording import PINCH_M
+from geort_drake.people.synthetic.population import sample_population
+from geort_drake.retargeting.clouds import first_in_voxels
+from geort_drake.retargeting.collision import CollisionGaps
+from geort_drake.retargeting.descent import device_of, one_thread
+from geort_drake.retargeting.kinematics import fingertips
+from geort_drake.retargeting.soap import Soap
+from geort_drake.retargeting.universal.losses import (
+    CONSTRAINTS,
+    TOUCH,
+    Criteria,
+    Hands,
+    Multipliers,
+    NearCollisions,
+    UniversalSettings,
+    of_finger,
+)
+from geort_drake.retargeting.universal.network import UniversalNetwork
+from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_shape
+
+AVERAGE_EVERY = 5  # steps, within which weights hardly move
+SAVE_EVERY_S = 30.0
+# Called as report(steps done, total steps, figures by name) about a hundred times per training.
+Report = Callable[[int, int, dict[str, float]], None]
+
+
+class TrainingPeople:
+    """People whose hands are drawn in batches with one generator.
+
+    Attributes:
+        shapes: (N, K, 4F) shapes of each person's hand, m, measured on different parts of their play.
+        p_HF: (N, T, F, 3) fingertips, m.
+        closable: (P,) whether the robot's tips of each pair can touch; it is not asked for other pinches.
+    """
+
+    def __init__(
+        self,
+        p_HK: np.ndarray,
+        finger_names: Sequence[str],
+        settings: UniversalSettings,
+        generator: torch.Generator,
+        rng: np.random.Generator,
+        device: torch.device,
+    ):
+        """Takes keypoints p_HK (N, T, 21, 3), m; `rng` draws anchors and shapes, `generator` the batches."""
+        people, self._settings, self._generator, self._device = len(p_HK), settings, generator, device
+        thumb = list(finger_names).index("thumb")
+        self.pairs = tuple((thumb, i) for i in range(len(finger_names)) if i != thumb)
+        p_HF, directions = tips_and_directions(p_HK, finger_names)
+        anchors = np.zeros((people, len(finger_names), settings.anchors), dtype=int)
+        for i, finger in np.ndindex(*anchors.shape[:2]):
+            rows = first_in_voxels(p_HF[i, :, finger], settings.anchor_voxel_m)
+            anchors[i, finger] = rng.choice(rows, settings.anchors)
+        shapes = [[hand_shape(part, finger_names) for part in self._parts(each, rng)] for each in p_HK]
+        self._anchors = torch.tensor(anchors, device=device)
+        self.shapes = torch.tensor(np.array(shapes), device=device)
+        self._hands = torch.tensor(np.concatenate([p_HF, directions], -1), dtype=torch.float32, device=device)
+        self.p_HF = self._hands[..., :3]
+        self.closable = torch.ones(len(self.pairs), dtype=torch.bool, device=device)
+        self._first, self._second = torch.tensor(self.pairs, device=device).reshape(-1, 2).T
+        d = self.p_HF[:, :, self._first] - self.p_HF[:, :, self._second]
+        self._distance, self._pair = d.norm(dim=-1).min(-1)
+        self._pinching = [torch.nonzero(row < PINCH_M)[:, 0] for row in self._distance]
+        self._near = [torch.nonzero(row < settings.pinch_reach_m)[:, 0] for row in self._distance]
+
+    def _parts(self, p_HK: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+        """Draws parts of a play (T, 21, 3): the whole, a frame, and windows of log-uniform lengths."""
+        total, count = len(p_HK), self._settings.shapes_per_person
+        lengths = [total, 1, *np.exp(rng.uniform(0.0, np.log(total), max(count - 2, 0))).astype(int)][:count]
+        starts = [rng.integers(total - length + 1) for length in lengths]
+        return [p_HK[start : start + length] for start, length in zip(starts, lengths, strict=True)]
+
+    def draw(self) -> Hands:
+        """Draws a batch."""
+        s, (_, frames, fingers, _) = self._settings, self._hands.shape
+        people = self._below(len(self._hands), s.people_per_batch)
+        G, rows = len(people), people[:, None]
+        finger = self._below(fingers, G, s.moved)
+        moved = self._hands[rows, self._anchors[rows, finger, self._below(s.anchors, G, s.moved)]]
+        other = self._below(frames, G, s.moved, fingers)
+        other = self._hands[rows[..., None], other, torch.arange(fingers, device=self._device)]
+        mixed = (self._uniform(G, s.moved, 1) < s.mixed) & ~self._one_hot(finger)
+        moved = torch.where(mixed[..., None], other, moved)
+        least, most = s.step_m
+        d = torch.nn.functional.normalize(self._normal(G, s.moved, 3), dim=-1)
+        d = d * (least + (most - least) * self._uniform(G, s.moved, 1))
+        start = self._below(frames - max(s.step_lags), G, s.steps_per_person)
+        lags = torch.tensor(s.step_lags, device=self._device)
+        lag = lags[self._below(len(lags), G, s.steps_per_person)]
+        before, after = self._hands[rows, start], self._hands[rows, start + lag]
+        recorded = self._chosen(self._pinching, people)
+        synthetic, synthetic_rows = self._synthetic_pinches(people)
+        pinching = torch.cat([self._hands[rows, recorded], synthetic], 1)
+        chosen = torch.cat([recorded, synthetic_rows], 1)
+        pair, distance = self._pair[rows, chosen], self._distance[rows, chosen]
+        reach = torch.full_like(distance, s.pinch_reach_m)
+        reach[:, : s.pinches] = PINCH_M
+        seen = [moved, after, pinching]
+        offset = self._offset(G, sum(part.shape[1] for part in seen))
+        offset[:, -2 * s.pinches : -s.pinches] = 0.0  # recorded pinches stay as they are
+        moved_offset, step_offset, pinch_offset = offset.split([part.shape[1] for part in seen], dim=1)
+        # Synthetic pinches are displaced before their fingertips are brought together.
+        pinch_offset = torch.where(self._in_pair(pair)[..., None], 0.0, pinch_offset)
+        return Hands(
+            self.shapes[people, self._below(self.shapes.shape[1], G)],
+            moved=moved[..., :3] + moved_offset,
+            finger=finger,
+            d=d,
+            before=before[..., :3] + step_offset,
+            after=after[..., :3] + step_offset,
+            pinching=pinching[..., :3] + pinch_offset,
+            pinch_pair=pair,
+            pinched=(distance < reach) & self.closable[pair],
+            directions=torch.cat(seen, 1)[..., 3:],
+        )
+
+    def _synthetic_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Moves the nearest pair of hands together; the other fingers may be from other frames.
+
+        Returns the hands, and the frames (G, ·) of the pairs.
+        """
+        s, rows, shape = self._settings, people[:, None], (len(people), self._settings.pinches)
+        chosen = self._chosen(self._near, people)
+        hands, pair = self._hands[rows, chosen], self._pair[rows, chosen]
+        first, second = self._first[pair], self._second[pair]
+        a, b = (of_finger(hands, finger) for finger in (first, second))
+        half = 0.5 * (b - a)[..., :3] + 0.002 * self._normal(*shape, 3)
+        length = half.norm(dim=-1, keepdim=True) + 1e-9
+        half = half * (0.5 * PINCH_M * self._uniform(*shape, 1) / length).clamp(max=1)
+        middle = 0.5 * (a + b)[..., :3] + s.pinch_spread_m * self._normal(*shape, 3)
+        elsewhere = self._hands[rows, self._below(self._hands.shape[1], *shape)]
+        hands = torch.where(self._uniform(*shape, 1, 1) < 0.5, elsewhere, hands)
+        for finger, point, direction in ((second, middle + half, b), (first, middle - half, a)):
+            new = torch.cat([point, direction[..., 3:]], -1)[:, :, None]
+            hands = torch.where(self._one_hot(finger)[..., None], new, hands)
+        return hands, chosen
+
+    def _chosen(self, candidates: Sequence[torch.Tensor], people: torch.Tensor) -> torch.Tensor:
+        """Draws frames (G, pinches) of each person's candidates, or of all if there are none."""
+        count = self._settings.pinches
+        rows = [
+            candidates[i][self._below(len(candidates[i]), count)]
+            if len(candidates[i])
+            else self._below(self._hands.shape[1], count)
+            for i in people.tolist()
+        ]
+        return torch.stack(rows)
+
+    def _in_pair(self, pair: torch.Tensor) -> torch.Tensor:
+        return self._one_hot(self._first[pair]) | self._one_hot(self._second[pair])
+
+    def _offset(self, *shape: int) -> torch.Tensor:
+        chosen = (self._uniform(*shape, 1, 1) < self._settings.spread).float()
+        return chosen * self._settings.spread_m * self._normal(*shape, self._hands.shape[2], 3)
+
+    def _one_hot(self, finger: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.one_hot(finger, self._hands.shape[2]).bool()
+
+    def _below(self, limit: int, *shape: int) -> torch.Tensor:
+        return torch.randint(limit, shape, generator=self._generator).to(self._device)
+
+    def _uniform(self, *shape: int) -> torch.Tensor:
+        return torch.rand(shape, generator=self._generator).to(self._device)
+
+    def _normal(self, *shape: int) -> torch.Tensor:
+        return torch.randn(shape, generator=self._generator).to(self._device)
+
+
+def tips_and_directions(p_HK: np.ndarray, finger_names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Returns fingertips, m, and unit vectors along the distal bones, (..., F, 3), of p_HK (..., 21, 3)."""
+    tips = p_HK[..., [TIP_KEYPOINT[name] for name in finger_names], :]
+    u = tips - p_HK[..., [FINGER_KEYPOINTS[name][-2] for name in finger_names], :]
+    return tips, u / np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-9)
+
+
+def _digest(kinematics: HandKinematics, seed: int) -> bytes:
+    q = np.linspace(kinematics.lower, kinematics.upper, 5)
+    return fingertips(kinematics, torch.tensor(q)).numpy().round(9).tobytes() + str(seed).encode()
+
+
+def affine_size(p_HF: np.ndarray, lengths: np.ndarray, tips: np.ndarray, quantile: float) -> np.ndarray:
+    """Returns for each finger the gain of the affine fit times the finger's length (F,), m.
+
+    The fit is that of `AffineIK`: its gain is the ratio of the root mean square distances from the mean of
+    the robot's fingertips at uniform joint angles and of the person's in their play.
+
+    Args:
+        p_HF: (N, T, F, 3) fingertips of N people, m.
+        lengths: (N, F) lengths of their fingers, m.
+        tips: (M, F, 3) robot fingertips at uniform joint angles, m.
+        quantile: quantile over the people.
+    """
+    human = np.sqrt(p_HF.var(axis=1).sum(axis=-1))
+    robot = np.sqrt(tips.var(axis=0).sum(axis=-1))
+    return np.quantile(robot / human * lengths, quantile, axis=0)
+
+
+class Training:
+    """A training, whose state can be saved and restored between any two steps.
+
+    Attributes:
+        step: number of steps done.
+        seconds: wall time of the steps so far, s.
+    """
+
+    def __init__(
+        self,
+        kinematics: HandKinematics,
+        shapes: CollisionShapes,
+        settings: UniversalSettings,
+        p_HK: np.ndarray,
+        seed: int,
+        device: torch.device,
+    ):
+        names = kinematics.finger_names
+        self._generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
+        self.settings, self.step, self.seconds = settings, 0, 0.0
+        self._key = hashlib.sha256(
+            json.dumps(dataclasses.asdict(settings)).encode() + p_HK.tobytes() + _digest(kinematics, seed)
+        ).hexdigest()
+        self.people = people = TrainingPeople(p_HK, names, settings, self._generator, rng, device)
+        lower, upper = torch.tensor(kinematics.lower).float(), torch.tensor(kinematics.upper).float()
+        uniform = torch.rand(settings.robot_samples, len(lower), generator=self._generator)
+        q = lower + (upper - lower) * uniform
+        tips = fingertips(kinematics, q)
+        lengths = people.shapes[:, 0, 3 * len(names) :].cpu().numpy()
+        size = affine_size(people.p_HF.cpu().numpy(), lengths, tips.numpy(), settings.size_quantile)
+        self.network = UniversalNetwork(
+            kinematics,
+            people.shapes[:, 0].cpu(),
+            people.p_HF.cpu(),
+            people.pairs,
+            (settings.finger_units, settings.residual_units, settings.shape_units),
+            self._generator,
+        ).to(device)
+        size_tensor = torch.tensor(size, dtype=torch.float32, device=device)
+        self.criteria = Criteria(kinematics, people.pairs, size_tensor, settings)
+        nearest = self.criteria.pair_distances(tips).amin(0)
+        people.closable = (nearest < TOUCH * kinematics.tip_radius).to(device)
+        gaps = CollisionGaps(kinematics, shapes)
+        gaps.keep_pairs_that_meet(q[:4000], settings.collision_margin_m)
+        self.collisions = NearCollisions(gaps.to(device), settings, self._generator)
+        self.multipliers = Multipliers({name: getattr(settings, name) for name in CONSTRAINTS}, settings)
+        groups = self.network.groups(settings.weight_decay)
+        self._optimiser = Soap(groups, lr=settings.learning_rate, betas=settings.momentum, clip=settings.clip)
+        decay = max(1.0 - settings.averaged_steps / settings.steps, 0.0)
+        self._average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(decay**AVERAGE_EVERY))
+        self._posture, self._collided = 1.0, torch.zeros((), device=device)
+
+    def start_from(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Sets the weights before the first step."""
+        self.network.set_arrays(arrays)
+        weights = b"".join(arrays[name].tobytes() for name in sorted(arrays))
+        self._key = hashlib.sha256(self._key.encode() + weights).hexdigest()
+
+    def advance(self) -> None:
+        """Takes one step.
+
+        Raises:
+            TrainingError: the loss is not finite.
+        """
+        started, s, step = time.perf_counter(), self.settings, self.step
+        rate = s.learning_rate * 0.5 * (1.0 + math.cos(math.pi * step / s.steps))
+        for group in self._optimiser.param_groups:
+            group["lr"] = rate * min((step + 1) / (min(s.warm_up, s.steps // 10) + 1), 1.0)
+        hands = self.people.draw()
+        posture, terms = self.criteria(self.network, hands)
+        losses = {name: loss for name, (loss, _) in terms.items()}
+        figures = {name: figure for name, (_, figure) in terms.items()}
+        if step % s.collision_search_every == 0:
+            self._collided = self.collisions.search(self.network, hands)
+        figures["collision"] = (
+            self._collided
+        )  # of the last search, so that its multiplier is as fast as others
+        if step % s.collision_every == 0 and (loss := self.collisions.loss(self.network)) is not None:
+            losses["collision"] = loss
+        self.multipliers.update(figures)
+        first = max(1.0 - step / (s.posture_first_share * s.steps), 0.0)
+        total = s.posture_weight * (1.0 + (s.posture_first - 1.0) * first) * posture
+        total = total + sum(self.multipliers.values[name] * loss for name, loss in losses.items())
+        if not torch.isfinite(total):
+            raise TrainingError(f"the loss stopped being finite at step {step}")
+        self._posture += s.figure_averaging * (float(posture.detach()) - self._posture)
+        self.network.zero_grad()
+        total.backward()
+        self._optimiser.step()
+        self.step += 1
+        if 2 * self.step >= s.steps and (s.steps - self.step) % AVERAGE_EVERY == 0:
+            self._average.update_parameters(self.network)
+        self.seconds += time.perf_counter() - started
+
+    def figures(self) -> dict[str, float]:
+        """Returns the running mean of each constraint's figure, and of "posture", 1 − cosine."""
+        return {**self.multipliers.figures, "posture": self._posture}
+
+    def result(self) -> UniversalNetwork:
+        """Returns the network, with averaged weights after the second half of the steps."""
+        return cast(UniversalNetwork, self._average.module) if self._average.n_averaged > 0 else self.network
+
+    def save(self, path: Path) -> None:
+        """Writes the state, atomically."""
+        state = {
+            "key": self._key,
+            "step": self.step,
+            "seconds": self.seconds,
+            "posture": self._posture,
+            "collided": self._collided,
+            "network": self.network.state_dict(),
+            "average": self._average.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "multipliers": self.multipliers.values,
+            "figures": self.multipliers.figures,
+            "collisions": [self.collisions.hands, self.collisions.shapes],
+            "generator": self._generator.get_state(),
+        }
+        with atomic_path(path) as draft, open(draft, "wb") as file:
+            torch.save(state, file)
+
+    def restore(self, path: Path) -> None:
+        """Restores the state.
+
+        Raises:
+            TrainingError: the file is damaged, or of a training with other settings.
+        """
+        try:
+            state = torch.load(path, map_location=self.people.shapes.device, weights_only=True)
+            key = state["key"]
+        except Exception as error:  # torch raises exceptions of many types for damaged files
+            raise TrainingError(f"{path}: not the state of a training; delete it: {error}") from error
+        if key != self._key:
+            raise TrainingError(
+                f"{path}: the state of a training with other settings, people or hand; delete it, or use the "
+                "same settings"
+            )
+        self.step, self.seconds, self._posture = state["step"], state["seconds"], state["posture"]
+        self.network.load_state_dict(state["network"])
+        self._average.load_state_dict(state["average"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.multipliers.values, self.multipliers.figures = state["multipliers"], state["figures"]
+        self._collided = state["collided"]
+        self.collisions.hands, self.collisions.shapes = state["collisions"]
+        self._generator.set_state(state["generator"].cpu())
+
+
+def train_universal(
+    kinematics: HandKinematics,
+    shapes: CollisionShapes,
+    settings: UniversalSettings | None = None,
+    seed: int = 0,
+    device: str = "cpu",
+    report: Report | None = None,
+    state: Path | None = None,
+    start: UniversalRetargeter | None = None,
+) -> UniversalRetargeter:
+    """Trains a universal map on the population of `geort_drake.people`.
+
+    Args:
+        kinematics, shapes: kinematics and collision shapes of the robot hand, mirrored for a left hand.
+        settings: settings of the training; None for the defaults.
+        seed: seed of the population, the initial weights and all draws.
+        device: "cpu" or "cuda".
+        report: called as report(steps done, total steps, figures), about a hundred times.
+        state: file from which the training resumes, if it exists, and to which it saves its state about every
+            half minute; deleted at the end. The result does not depend on interruptions.
+        start: map of the same hand, from whose weights the training starts; None starts from random ones.
+
+    Returns:
+        The map; its `info` has the settings, and the figures and the time of the training.
+
+    Raises:
+        TrainingError: a setting is out of range, the hand has no thumb or no other finger, the file is of
+            another training, or the loss is not finite at some step.
+    """
+    settings = settings or UniversalSettings()
+    settings.validate()
+    names = kinematics.finger_names
+    if "thumb" not in names or len(names) < 2:
+        raise TrainingError(f"the hand needs a thumb and another finger, it has {', '.join(names)}")
+    p_HK = sample_population(settings.people, seed, settings.play_s)
+    with one_thread():
+        training = Training(kinematics, shapes, settings, p_HK, seed, device_of(device))
+        del p_HK
+        if start is not None:
+            training.start_from(start.arrays)
+        if state is not None and state.is_file():
+            training.restore(state)
+        saved = time.monotonic()
+        while training.step < settings.steps:
+            training.advance()
+            if state is not None and time.monotonic() - saved > SAVE_EVERY_S:
+                training.save(state)
+                saved = time.monotonic()
+            if report is not None and (
+                training.step % max(settings.steps // 100, 1) == 0 or training.step == settings.steps
+            ):
+                report(training.step, settings.steps, training.figures())
+    limits = (kinematics.lower, kinematics.upper)
+    result = UniversalRetargeter(training.result().arrays(), names, kinematics.joint_names, None, *limits)
+    result.info = {
+        "method": "universal",
+        "config": {**dataclasses.asdict(settings), "seed": seed, "device": device},
+        "figures": {name: round(value, 6) for name, value in training.figures().items()},
+        "provenance": {"seconds": round(training.seconds, 1)},
+    }
+    if state is not None:
+        state.unlink(missing_ok=True)
+    return result
+
+
+def mirrored_map(
+    retargeter: UniversalRetargeter, hand: HandKinematics, mirrored: HandKinematics
+) -> UniversalRetargeter | None:
+    """Converts the map of a hand to its mirror image, whose joints may have other names and senses.
+
+    Args:
+        retargeter: map of `hand`.
+        hand: kinematics of the hand.
+        mirrored: kinematics of the other hand, mirrored; see `HandKinematics.mirrored`.
+
+    Returns:
+        The map; None if the other hand is no mirror image within 1 µm and 1 µrad.
+    """
+    if mirrored.finger_names != hand.finger_names:
+        return None
+    names, columns = list(hand.joint_names), retargeter.arrays["columns"]
+    rows, signs = np.zeros(len(names), dtype=int), np.ones(len(names))
+    for chain, other in zip(hand.fingers, mirrored.fingers, strict=True):
+        if chain.axes.shape != other.axes.shape or len(chain.joint_indices) != len(other.joint_indices):
+            return None
+        independent = [chain.all_joint_names.index(name) for name in chain.joint_names]
+        sense = np.sign((chain.axes * other.axes).sum(-1))[independent]
+        rows[list(other.joint_indices)] = chain.joint_indices
+        signs[list(other.joint_indices)] = sense
+    lower, upper = hand.lower[rows] * signs, hand.upper[rows] * signs
+    q = np.random.default_rng(0).uniform(mirrored.lower, mirrored.upper, (100, len(names)))
+    own = np.zeros_like(q)
+    own[:, rows] = q * signs
+    tips, others = (
+        fingertips(each, torch.tensor(angles)).numpy() for each, angles in ((hand, own), (mirrored, q))
+    )
+    limits = np.minimum(lower, upper), np.maximum(lower, upper)
+    same = np.allclose(limits, (mirrored.lower, mirrored.upper), atol=1e-6)
+    if not same or not np.allclose(tips, others, atol=1e-6):
+        return None
+    arrays = dict(retargeter.arrays)
+    outputs = np.ones(arrays["bias2"].size, dtype=np.float32)
+    outputs[columns[rows]] = signs
+    arrays["columns"] = columns[rows]
+    for name in ("weight2", "bias2", "residual_weight2", "residual_bias2"):
+        shape = (len(hand.fingers), 1, -1) if name in ("weight2", "bias2") else (-1,)
+        arrays[name] = arrays[name] * outputs.reshape(shape)
+    result = UniversalRetargeter(
+        arrays,
+        mirrored.finger_names,
+        mirrored.joint_names,
+        retargeter.human_keypoints.tolist(),
+        mirrored.lower,
+        mirrored.upper,
+    )
+    result.info = retargeter.info
+    return result
