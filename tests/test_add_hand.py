@@ -22,7 +22,7 @@ from geort_drake import (
     train_map,
 )
 from geort_drake.cli import run_command
-from geort_drake.cli.grasp import try_out
+from geort_drake.cli.simulate import try_out
 from geort_drake.errors import HandError, OutputError
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.hands.collision_shapes import collision_shapes

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 # Purpose → command → its module and class, in the order of `geort-drake --help`.
 GROUPS: dict[str, dict[str, str]] = {
     "try and drive": {
-        "grasp": "grasp",
+        "grasp": "simulate:Grasp",
+        "simulate": "simulate:Simulate",
         "live": "live",
         "live publish": "publish",
         "live stand-in-robot": "stand_in_robot",

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geort_drake.cli.grasp import try_out
+from geort_drake.cli.simulate import try_out
 from geort_drake.cli.options import DEFAULT_METHOD, CommandParser, finish, output_file, write_json
 
 if TYPE_CHECKING:

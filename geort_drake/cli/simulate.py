@@ -1,0 +1,348 @@
+"""Commands that simulate trials of a task, and write results and recordings."""
+
+import contextlib
+import copy
+import dataclasses
+import json as json_format
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from tyro.conf import arg
+
+from geort_drake.cli.base import (
+    Command,
+    Json,
+    ScenarioOptions,
+    Side,
+    command,
+    finish,
+    methods_epilog,
+    methods_for,
+    options,
+    require,
+    require_json_file,
+    require_output_folder,
+    view,
+    write_json,
+)
+from geort_drake.errors import ScenarioError
+from geort_drake.resources import object_names
+from geort_drake.simulation.tasks import task_names
+
+if TYPE_CHECKING:
+    from geort_drake import Recording
+    from geort_drake.simulation.scenario import Scenario
+    from geort_drake.simulation.task import TrialResult
+
+# Grasped if neither --objects nor the scenario names an object.
+DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
+_OBJECTS = (
+    f"objects to grasp, of {', '.join(object_names())}, or cases of another task (default: the scenario's "
+    f"object, or {' '.join(DEFAULT_OBJECTS)} if it has none; for other tasks, all cases)"
+)
+
+
+@options
+class Grasp(Command, ScenarioOptions):
+    """Grasp objects in simulation.
+
+    Without arguments, a simulated person grasps three objects with a Panda and an Allegro hand, through the
+    universal map, and a table shows the outcomes. A method that needs training is first trained on the
+    person's hand motion. The output folder gets results.json, the scenario, and for each trial a Rerun
+    recording (.rrd) and the glove and tracker data (.npz), which replace those of an earlier run.
+    """
+
+    output: Annotated[Path, arg(metavar="DIR")] = Path("runs/grasp")
+    """folder for the results"""
+    objects: Annotated[tuple[str, ...], arg(metavar="NAME ...", help=_OBJECTS)] = ()
+    trials: Annotated[int, arg(metavar="N")] = 1
+    """trials per object, each with its own seed"""
+    recording: Annotated[Path | None, arg(metavar="FILE")] = None
+    """recording of the person's hand (default: synthetic play)"""
+    side: Side | None = None
+    """side of the recorded hand (default: the robot hand's)"""
+    retargeter: Annotated[str | None, arg(metavar="NAME")] = None
+    """method listed below, map or Python file (default: universal if the hand has a map, else geort)"""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """where to train"""
+    seed: int = 0
+    """seed of training and synthetic play"""
+    replay: Annotated[Path | None, arg(metavar="FILE")] = None
+    """replay this recording, with its wrist poses, instead of the simulated person; a session is replayed
+    with its own task, object and seed"""
+    rerun: bool = True
+    """write no Rerun recordings"""  # help of the flag --no-rerun
+    json: Json = None
+
+    epilog = staticmethod(methods_epilog)
+
+    def _base(self) -> "Scenario":
+        """Returns the scenario of the trials before their object and seed are chosen."""
+        return self.load_scenario()
+
+    def run(self) -> int:
+        from geort_drake import HandModel, __version__, load_hand, run_trial
+        from geort_drake.benchmark.trials import plan
+        from geort_drake.console import print_table, progress_bar, say, track, warn
+        from geort_drake.export.episode import RESULTS, SCENARIO
+        from geort_drake.files import locked, write_text
+        from geort_drake.methods import names_of, resolve
+        from geort_drake.own_method import OwnMethod
+        from geort_drake.retargeting import DEFAULT_METHOD
+        from geort_drake.retargeting.train import training_recording
+        from geort_drake.retargeting.universal import UniversalRetargeter
+        from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
+        from geort_drake.simulation.scenario import dump_scenario
+        from geort_drake.simulation.tasks import find_task
+        from geort_drake.simulation.tasks.grasp import explained
+
+        # Checks the whole request before anything is computed or written.
+        require_output_folder(self.output, RESULTS)
+        require_json_file(self.json)
+        require(self.trials > 0, "--trials", "a whole number, at least 1", self.trials)
+        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
+        base, replay = self._request()
+        description = load_hand(base.hand)
+        hand = HandModel(description)
+        has_map = "universal" in methods_for(base.hand)
+        method = self.retargeter or ("universal" if has_map else DEFAULT_METHOD)
+        names_of([method], hand=hand)  # refuses an unusable one
+        side = self.side or description.side
+        scenarios = self.scenarios_of(base, replay)
+        recording = training_recording(self.recording, side, self.seed)
+
+        # Plans before training, because planning shows whether the robot can grasp the objects at all.
+        plans: dict[str, Any] = {}
+        if replay is None:
+            names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
+            plans = {name: plan(dump_scenario(base), name) for name in track("planning", names, len(names))}
+            refused = [reason for reason in plans.values() if isinstance(reason, str)]
+            if len(refused) == len(plans):
+                raise ScenarioError(refused[0])
+            for reason in refused:
+                warn(f"left out: {reason}")
+            scenarios = [scenario for scenario in scenarios if isinstance(plans[scenario.object.name], list)]
+        retarget, checkpoint = resolve(method, hand, recording, self.seed, self.device)
+        source = str(self.recording or f"synthetic play, seed {self.seed}")
+        say(f"Human motion: {source}")
+        properties: dict[str, str | float] = {"method": method, "hand": description.name}
+        session = replay.metadata if replay else {}
+        properties |= {f"session_{name}": json_format.dumps(value) for name, value in session.items()}
+        if checkpoint is None:
+            say(f"Retargeter:   {method} (needs no training)")
+        elif isinstance(retarget, OwnMethod):
+            say(f"Retargeter:   {checkpoint} (own method)")
+        elif isinstance(retarget, UniversalRetargeter):
+            say(f"Retargeter:   {checkpoint} (universal)")
+            properties |= {"checkpoint": str(checkpoint), "method": "universal"}
+        else:
+            say(f"Retargeter:   {checkpoint}")
+            info = getattr(retarget, "info", {})
+            properties |= {"checkpoint": str(checkpoint), "method": info.get("method", method)}
+
+        person = persons_hand(scenarios[0], recording)
+        goals = {}
+        if replay is None:
+            retarget, seen = practise(base, retarget, hand, person)
+            found = {scenario.object.name for scenario in scenarios}
+            goals = {name: keep_reached(plans[name], seen)[0] for name in found}
+        report: dict[str, Any] = {
+            "version": __version__,
+            "human_motion": source,
+            "recording_sha256": recording.digest,
+            "retargeter": str(checkpoint or method),
+            "session": session,
+        }
+        results: list[TrialResult] = []
+        with locked(self.output), progress_bar() as display:
+            update = display.counter("grasping")
+            for done, scenario in enumerate(scenarios):
+                stem = f"{find_task(scenario.task).case_of(scenario)}-{scenario.random_seed}"
+
+                def show(t: float, done: int = done, stem: str = stem) -> None:
+                    update(done, len(scenarios), f"{stem}: {t:.1f} s simulated")
+
+                # The recording of an interrupted trial stays here, so that it never replaces a complete one.
+                recorded = self.output / "interrupted" / f"{stem}.rrd"
+                recorded.unlink(missing_ok=True)
+                result, glove = run_trial(
+                    scenario,
+                    retarget,
+                    replay or (person, goals[scenario.object.name]),
+                    recorded if self.rerun else None,
+                    properties,
+                    show,
+                )
+                if not results:
+                    _remove_run(self.output)
+                    # The first trial's scenario; object and seed of the others are in results.json.
+                    write_text(self.output / SCENARIO, dump_scenario(scenario))
+                _keep_recording(recorded, self.output)
+                glove.save(self.output / f"{stem}.glove.npz")
+                results.append(result)
+                # Written after each trial, so that an interrupted run keeps the finished ones.
+                report |= {
+                    "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+                    "successes": sum(result.success for result in results),
+                    "trials": [result.to_json() for result in results],
+                }
+                write_json(self.output / RESULTS, report)
+            update(len(scenarios), len(scenarios))
+
+        print_table(
+            ("object", "seed", "outcome", "hold at", "attempts", "height", "force", "speed"),
+            [_row(result) for result in results],
+            title="Grasps",
+            caption="hold at: when the successful hold began; height, force: peak; speed: times real time",
+            text=("outcome",),
+        )
+        held = sum(result.success for result in results)
+        say(f"{held} of {len(results)} held")
+        for result in results:
+            if not result.success:
+                where = f"; watch {result.object}-{result.seed}.rrd" if self.rerun else ""
+                say(f"{result.object}, seed {result.seed}: {explained(result.outcome)}{where}")
+        write_json(self.json, report)
+        watch = view(self.output, "/*.rrd") if self.rerun else None
+        finish({"Results": self.output / RESULTS}, watch)
+        return 0
+
+    def scenarios_of(self, base: "Scenario", replay: "Recording | None" = None) -> "list[Scenario]":
+        """Returns a scenario per trial, from `base`; a session sets its own object, seed and timeout."""
+        from geort_drake.simulation.scenario_files import check_scenario, names_object
+        from geort_drake.simulation.tasks import find_task
+
+        task = find_task(base.task)
+        objects = self.objects or (DEFAULT_OBJECTS if base.task == "grasp" else task.cases())
+        of_scenario = self.scenario_file, self.scenario_name, self.scenario_text
+        if not self.objects and base.task == "grasp" and names_object(*of_scenario):
+            objects = [base.object.name]
+        facts = replay.metadata if replay else {}
+        if replay and not self.objects and "object" in facts:
+            objects = [facts["object"]]
+            base.random_seed = int(facts.get("seed", base.random_seed))
+            base.timeout = float(replay.t[-1] - replay.t[0]) + find_task("grasp").settings_of(base).hold_time
+        scenarios = []
+        for name in objects:
+            for trial in range(self.trials):
+                scenario = copy.deepcopy(base)
+                task.choose(scenario, name)
+                scenario.random_seed = base.random_seed + trial
+                check_scenario(scenario)
+                scenarios.append(scenario)
+        return scenarios
+
+    def _request(self) -> "tuple[Scenario, Recording | None]":
+        """Returns the scenario and the recording of --replay, which needs wrist poses to move the base.
+
+        A session of another task uses that task's scenario, unless an option selects one.
+        """
+        from geort_drake import load_hand, load_scenario, read_recording
+
+        base = self._base()
+        name, path = self.scenario_name, self.replay
+        if path is None:
+            if base.fixed_base:
+                raise ScenarioError(
+                    f"scenario '{name}': the operator cannot grasp with a fixed base; give a --replay"
+                )
+            return base, None
+        replay = read_recording(path, self.side or load_hand(base.hand).side)
+        task = replay.metadata.get("task", base.task)
+        if task != base.task and self.scenario_file is None and name == "Grasp":
+            base = load_scenario(text=self.scenario_text, hand=self.hand, task=task)
+        if base.fixed_base:
+            return base, dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
+        if replay.X_WH is None:
+            raise ScenarioError(
+                f"{path}: a replay needs wrist poses (X_WH); this recording has none; use "
+                "--scenario-name Fixed to keep the hand in place"
+            )
+        return base, replay
+
+
+@options
+class Simulate(Grasp):
+    """Simulate trials of a task.
+
+    Like `geort-drake grasp`, for any task of the benchmark and any kind of simulated person.
+    """
+
+    task: Annotated[str, arg(metavar="NAME", help=f"one of {', '.join(task_names())}")] = "grasp"
+    kind: Literal["servo", "mimicry", "adaptive"] | None = None
+    """kind of simulated person (default: the scenario's)"""
+    output: Annotated[Path, arg(metavar="DIR")] = Path("runs/simulate")
+    """folder for the results"""
+
+    def _base(self) -> "Scenario":
+        from geort_drake import load_scenario
+        from geort_drake.simulation.scenario_files import check_scenario
+
+        if self.scenario_file is None and self.scenario_name == "Grasp":
+            base = load_scenario(text=self.scenario_text, hand=self.hand, task=self.task)
+        else:
+            base = self.load_scenario()
+        if self.kind is not None:
+            base.kind = self.kind
+            check_scenario(base)
+        return base
+
+
+def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
+    """Formats a command that tries a retargeter: `grasp` if the hand can, else `explore`.
+
+    Args:
+        retargeter: checkpoint or map.
+        hand: name or description file.
+        recording: recording on which the retargeter was trained.
+    """
+    from geort_drake import load_hand
+    from geort_drake.simulation.plan.contacts import GRIPS, grip_of
+
+    fingers = {*load_hand(hand).finger_names}
+    graspable = any(fingers.issuperset(GRIPS[grip_of(name)].fingers) for name in DEFAULT_OBJECTS)
+    named = {"recording": recording, "hand": None if hand == "allegro_right" else hand}
+    if graspable:
+        return command("grasp", retargeter=retargeter, **named)
+    return command("explore", methods=retargeter, **named)
+
+
+def _remove_run(folder: Path) -> None:
+    """Removes the results of an earlier run and the files of its trials, which had another scenario."""
+    from geort_drake.export.episode import RESULTS
+
+    results = folder / RESULTS
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # no results, or damaged ones
+        names = {
+            f"{trial['object']}-{trial['seed']}"
+            for trial in json_format.loads(results.read_bytes())["trials"]
+        }
+        for path in (path for kind in (".rrd", ".parquet", ".glove.npz") for path in folder.glob(f"*{kind}")):
+            if path.name.partition(".")[0] in names:
+                path.unlink()
+    results.unlink(missing_ok=True)
+
+
+def _keep_recording(recorded: Path, folder: Path) -> None:
+    """Moves a complete trial's recording and table to its folder; without them, removes an earlier run's."""
+    for file in (recorded, recorded.with_suffix(".parquet")):
+        kept = folder / file.name
+        kept.unlink(missing_ok=True)
+        if file.exists():
+            file.replace(kept)
+    with contextlib.suppress(OSError):  # the folder may contain other files
+        recorded.parent.rmdir()
+
+
+def _row(result: Any) -> tuple[str, ...]:
+    return (
+        result.object,
+        str(result.seed),
+        f"[{'green' if result.success else 'red'}]{result.outcome}[/]",
+        "–" if result.completion_time is None else f"{result.completion_time:.1f} s",
+        "–" if result.attempts is None else str(result.attempts),
+        f"{100 * result.metrics['peak_height']:.0f} cm" if "peak_height" in result.metrics else "–",
+        f"{result.peak_force:.0f} N",
+        f"{result.simulated_time / result.wall_time:.1f} ×",
+    )
