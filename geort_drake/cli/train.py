@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from geort_drake.cli.simulate import try_out
 from geort_drake.cli.options import DEFAULT_METHOD, CommandParser, finish, output_file, write_json
+from geort_drake.cli.simulate import try_out
 
 if TYPE_CHECKING:
     from geort_drake.hands.hand import Hand as HandModel
