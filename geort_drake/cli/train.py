@@ -24,7 +24,7 @@ EPILOG = """\
 In the five minutes of a recording, the person should move every finger to its limits and pinch each with the
 thumb. geort_drake.load_retargeter(FILE) loads the map.
 
---universal trains the map of the method universal, which serves every person, in about ten minutes on one
+--universal trains the map of the method universal, which serves every person, in a quarter of an hour on one
 core; the same command resumes it. If a hand of the same name with the other side is known and is the mirror
 image, its map is written beside FILE. The same seed gives the same weights bit for bit, with the same package
 versions and the same kind of processor.
