@@ -73,6 +73,11 @@ class FingerMlps(nn.Module):
 class RetargetingModel(nn.Module):
     """f(x_H) = [f_1(x_H^1), …, f_F(x_H^F)], each f_i an MLP with tanh that spans the joints' ranges."""
 
+    mean: Tensor
+    scale: Tensor
+    centre: Tensor
+    half_range: Tensor
+
     def __init__(
         self, hand: HandKinematics, clouds: Sequence[np.ndarray], hidden: int, generator: torch.Generator
     ):
@@ -120,6 +125,12 @@ class RetargetingModel(nn.Module):
 class NeuralKinematics(nn.Module):
     """FK_i of every finger, an MLP from its joint angles to its fingertip."""
 
+    used: Tensor
+    centre: Tensor
+    half_range: Tensor
+    mean: Tensor
+    scale: Tensor
+
     def __init__(self, hand: HandKinematics, p_BF: Tensor, hidden: int, generator: torch.Generator):
         """Normalises the outputs by samples p_BF (N, F, 3), m."""
         super().__init__()
@@ -144,6 +155,9 @@ class NeuralKinematics(nn.Module):
 
 class CollisionClassifier(nn.Module):
     """The logit of C(q), the probability that the hand collides with itself at joint angles q."""
+
+    centre: Tensor
+    half_range: Tensor
 
     def __init__(self, hand: HandKinematics, hidden: int, generator: torch.Generator):
         super().__init__()
@@ -218,10 +232,10 @@ def fit(
         samples = hand.sample(config.robot_samples, seed)
         q, c = tensor(samples), tensor(hand.collides_beyond_tips(samples))
         x_R = fingertips(kinematics, q)
-        FK = partial(fingertips, kinematics)
+        FK: Callable[[Tensor], Tensor] = partial(fingertips, kinematics)
         if config.fk == "neural":
-            FK = NeuralKinematics(kinematics, x_R, config.hidden, generator).to(dev)
-            pretrain(FK, lambda x, y: ((x - y) / FK.scale).square().mean(), q, x_R, config, generator)
+            FK = neural = NeuralKinematics(kinematics, x_R, config.hidden, generator).to(dev)
+            pretrain(neural, lambda x, y: ((x - y) / neural.scale).square().mean(), q, x_R, config, generator)
         C = CollisionClassifier(kinematics, config.hidden, generator).to(dev)
         pretrain(C, binary_cross_entropy_with_logits, q, c, config, generator)
 
