@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def _text(value: float | Sequence[float]) -> str:
-    return " ".join(f"{each:.2f}" for each in value) if np.ndim(value) else f"{value:.3f}"
+    return " ".join(f"{each:.2f}" for each in np.ravel(value)) if np.ndim(value) else f"{value:.3f}"
 
 
 if __name__ == "__main__":

