@@ -99,7 +99,7 @@ def default_of(value: ast.expr | None) -> str:
 
 def commands_table() -> str:
     """A Markdown table of the subcommands and their summaries."""
-    rows = [f"| [`{name}`](#{name}) | {summary} |" for name, summary, _ in commands()]
+    rows = [f"| [`{name}`](#{name.replace(' ', '-')}) | {summary} |" for name, summary, _ in commands()]
     return "\n".join(["| command | does |", "|---|---|", *rows])
 
 
@@ -110,14 +110,10 @@ def commands_help() -> str:
 
 def commands() -> list[tuple[str, str, str]]:
     """Name, summary and help of every subcommand, in the order of `geort-drake --help`."""
-    from geort_drake.cli import COMMANDS, parser_of
+    from geort_drake.cli import COMMANDS, description_of, help_of
 
-    os.environ["COLUMNS"] = "100"  # argparse's width
-    found = []
-    for name in COMMANDS:
-        parser = parser_of(name)
-        found.append((name, parser.description.splitlines()[0], parser.format_help()))
-    return found
+    os.environ["COLUMNS"] = "100"  # the width of the help
+    return [(name, description_of(name).splitlines()[0], help_of(name)) for name in COMMANDS]
 
 
 def protocol_table() -> str:

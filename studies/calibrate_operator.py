@@ -7,20 +7,23 @@ rotation and offset, objects of each grip, a few seeds. Prints the number of suc
 every trial.
 """
 
+import argparse
 import copy
 import datetime
 import itertools
+import json
 import logging
 import statistics
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from joblib import Parallel, delayed
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from geort_drake.cli.options import CommandParser, write_json
 from geort_drake.console import console, progress_bar, run_main
+from geort_drake.files import write_text
 
 # Name → gain, rotation vector (degrees, in B), offset of all fingertips (m, in B).
 MAPS = {
@@ -71,13 +74,15 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = CommandParser(None, __doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--objects", nargs="+", default=list(OBJECTS), metavar="OBJECT")
     parser.add_argument("--maps", nargs="+", default=list(MAPS), choices=list(MAPS), metavar="MAP")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--scenario-text", help="YAML merged into the scenario, such as an operator's field")
-    parser.add_json("date, table and every trial")
+    parser.add_argument("--json", type=Path, help="file for date, table and every trial")
     arguments = parser.parse_args(argv)
     cases = list(itertools.product(arguments.maps, arguments.objects, range(arguments.seeds)))
     results = []
@@ -99,7 +104,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         table.add_row(name, *shares, f"{statistics.median(times):.1f} s" if times else "–")
     console.print(table)
     console.print(f"{sum(r['success'] for r in results)} of {len(results)} grasps succeeded")
-    write_json(arguments.json, {"date": date, "successes": counts, "trials": results})
+    if arguments.json is not None:
+        write_text(arguments.json, json.dumps({"date": date, "successes": counts, "trials": results}))
     return 0
 
 

@@ -6,6 +6,7 @@ The picture shows the connected ports and the values between them. Needs Graphvi
 systems or ports have changed.
 """
 
+import argparse
 import dataclasses as dc
 import html
 import importlib
@@ -20,7 +21,6 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import PortDataType
 
-from geort_drake.cli.options import CommandParser, output_file, scenario_of
 from geort_drake.console import run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import write_text
@@ -29,6 +29,7 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.scenario_files import load_scenario
 
 FONT = "Helvetica"
 PALE = "#B9B8B0"
@@ -58,11 +59,13 @@ PICTURE = Path(__file__).resolve().parents[1] / "docs" / "diagram.svg"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = CommandParser(None, __doc__)
-    parser.add_argument("--output", type=output_file(".svg"), default=PICTURE, help="picture to write")
-    parser.add_scenario()
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--output", type=Path, default=PICTURE, help="picture to write")
+    parser.add_argument("--task", default="grasp", help="task whose scenario is drawn")
     arguments = parser.parse_args(argv)
-    write_text(arguments.output, draw_scenario(scenario_of(arguments)))
+    write_text(arguments.output, draw_scenario(load_scenario(task=arguments.task)))
     return 0
 
 

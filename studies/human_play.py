@@ -3,13 +3,13 @@
 python studies/human_play.py human_play.png --glove manus.npz
 """
 
+import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from geort_drake.cli.options import CommandParser, output_file
 from geort_drake.colours import FINGER_COLOURS
 from geort_drake.console import run_main
 from geort_drake.files import atomic_path
@@ -21,10 +21,12 @@ from geort_drake.people.synthetic.play import synthesize_play
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    parser = CommandParser(None, __doc__)
-    parser.add_argument("output", type=output_file(".png"), help="picture to write")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("output", type=Path, help="picture to write")
     parser.add_argument("--glove", type=Path, help="recording to draw below, for comparison")
-    parser.add_seed("the play")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the play")
     arguments = parser.parse_args(argv)
     recordings = {f"synthetic play, seed {arguments.seed}": synthesize_play(arguments.seed)}
     if arguments.glove is not None:

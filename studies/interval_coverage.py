@@ -7,13 +7,13 @@ failures count as the timeout. The true values are those of a population of obje
 coverage of 95 % intervals of success, time and a paired difference of success.
 """
 
+import argparse
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from geort_drake.benchmark.analysis import bounded_interval, mean_interval
-from geort_drake.cli.options import CommandParser, at_least
 from geort_drake.console import print_table, run_main
 
 DRAWS = 200_000  # of the population, for the true values
@@ -89,11 +89,11 @@ def _share(logit: np.ndarray) -> np.ndarray:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = CommandParser(None, __doc__)
-    parser.add_argument(
-        "--benchmarks", type=at_least(10), default=2000, help="simulated benchmarks per design"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_seed("the simulation")
+    parser.add_argument("--benchmarks", type=int, default=2000, help="simulated benchmarks per design")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the simulation")
     arguments = parser.parse_args(argv)
     headings = (*Design._fields, "success", "time", "difference")
     rows, everything = [], []

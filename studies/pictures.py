@@ -16,7 +16,6 @@ from PIL import Image
 from rich.progress import track
 from screenshots import photographs
 
-from geort_drake.cli.options import CommandParser
 from geort_drake.console import console, run_main
 from geort_drake.errors import GeortError
 from geort_drake.files import atomic_path, require_writable
@@ -52,7 +51,9 @@ class Picture:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    parser = CommandParser(None, __doc__, EPILOG)
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     add = parser.add_argument
     add(
         "--only",

@@ -1,5 +1,6 @@
 """The command geort-drake: finding commands, options, messages, exit codes, and what it refuses."""
 
+import errno
 import json
 import logging
 import os
@@ -8,6 +9,7 @@ import shlex
 import signal
 import subprocess
 import sys
+import typing
 import warnings
 from pathlib import Path
 from unittest.mock import Mock
@@ -19,8 +21,8 @@ from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
 from geort_drake import HandModel, synthesize_play
-from geort_drake.cli import COMMANDS, main, options, parser_of, run_command
-from geort_drake.cli.options import DEFAULT_METHOD, SHIPPED_METHOD, SIDES, CommandParser, write_json
+from geort_drake.cli import COMMANDS, base, main, parse, run_command
+from geort_drake.cli.base import write_json
 from geort_drake.console import console, exit_code_of, progress_bar, run_main, track, warn
 from geort_drake.errors import OutputError, RecordingError
 from geort_drake.hands.description import write_description
@@ -33,10 +35,10 @@ HEAVY = {"rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", 
 
 
 def test_help_imports_no_heavy_package():
-    """So it answers at once; benchmarks/bench_startup.py has the times."""
+    """So it answers at once."""
     code = (
         "import contextlib, sys; from geort_drake.cli import COMMANDS, main\n"
-        "for words in ([], *([name] for name in COMMANDS)):\n"
+        "for words in ([], *(name.split() for name in COMMANDS)):\n"
         "    with contextlib.suppress(SystemExit): main([*words, '--help'])\n"
         "print(*sys.modules, file=sys.stderr)"
     )
@@ -46,43 +48,86 @@ def test_help_imports_no_heavy_package():
 
 
 def test_the_overview_lists_every_command_in_a_line(capsys):
-    """Without arguments as well; each file in cli/ that is a command is listed."""
-    assert main([]) == main(["--help"]) == 0
+    """Without arguments, with --help, and as `geort-drake help`."""
+    assert main([]) == main(["--help"]) == main(["help"]) == 0
     lines = capsys.readouterr().out.splitlines()
     for name in COMMANDS:
-        assert sum(line.startswith(f"  {name} ") for line in lines) == 2
-    assert all(len(line) < 110 for line in lines)
-    paths = (SCRIPTS.parent / "geort_drake" / "cli").glob("[a-z]*.py")
-    files = {path.stem.replace("_", "-") for path in paths}
-    assert files - {"options", "benchmark-tables", "live-session", "live-web"} == set(COMMANDS)
+        assert sum(line.startswith(f"  {name} ") for line in lines) == 3
+    assert all(len(line) < 120 for line in lines)
 
 
-def test_python_m_and_scripts_are_the_same_program(tmp_path):
-    """Both refuse with code 2 and one line on stderr."""
-    for program in (["-m", "geort_drake", "synthesize"], [str(SCRIPTS / "synthesize_recording.py")]):
-        words = [sys.executable, *program, "out.npy"]
-        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stdout) == (2, "")
-        assert done.stderr == "error: out.npy: the name must end with .npz\n"
-        assert list(tmp_path.iterdir()) == []
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_for_a_command_is_the_same_in_both_orders(name, capsys):
+    texts = []
+    for words in (["help", *name.split()], [*name.split(), "--help"]):
+        with pytest.raises(SystemExit) as stopped:
+            main(words)
+        assert stopped.value.code == 0
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1] and f"usage: geort-drake {name}" in texts[0]
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (["gras"], "did you mean 'grasp'?"),
+        (["benchmrak", "--quick"], "did you mean 'benchmark'?"),
+        (["hand", "ad"], "did you mean 'hand add'?"),
+        (["hand"], "choose one of: hand add, hand list"),
+        (["check-recording", "hand.npy"], "did you mean 'recording check'?"),
+    ],
+)
+def test_a_mistyped_command_is_answered_with_what_it_may_mean(words, hint, capsys):
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and hint in said.err
+
+
+def test_debug_adds_the_traceback_of_an_error(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["recording", "check", "missing.npy"]) == 2
+    assert "Traceback" not in capsys.readouterr().err
+    assert main(["recording", "check", "missing.npy", "--debug"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_error_of_the_operating_system_that_names_no_file_is_not_the_users(capsys):
+    def fault():
+        raise OSError(errno.EBADF, "Bad file descriptor")
+
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        exit_code_of(fault)
+
+
+def test_python_m_is_the_same_program(tmp_path):
+    """It refuses with code 2 and one line on stderr."""
+    words = [sys.executable, "-m", "geort_drake", "recording", "synthesize", "--output", "out.npy"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: out.npy: the name must end with .npz\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_facts_repeated_for_help_agree_with_their_modules():
-    """Methods and sides, which help lists without importing them."""
+    """Methods, sides and units, which help lists without importing them."""
     from geort_drake import retargeting
     from geort_drake.benchmark import log
+    from geort_drake.cli.recording import ConvertRecording
+    from geort_drake.cli.train import Train
     from geort_drake.export import episode, lerobot, parquet
     from geort_drake.people import recording
     from geort_drake.people.checks import UNITS_M
     from geort_drake.retargeting.geort import FORWARD_KINEMATICS
 
-    assert DEFAULT_METHOD == retargeting.DEFAULT_METHOD and SHIPPED_METHOD in retargeting.METHODS
-    assert set(SIDES) == set(recording.SIDES)
-    choices = {action.dest: action.choices for action in parser_of("train")._actions}
-    assert choices["fk"] == list(FORWARD_KINEMATICS)
-    assert {each.dest: each.choices for each in parser_of("convert")._actions}["unit"] == list(UNITS_M)
+    def choices(command, field):
+        return set(re.findall(r"'(\w+)'", str(typing.get_type_hints(command)[field])))
+
+    assert Train.method == retargeting.DEFAULT_METHOD and "universal" in retargeting.METHODS
+    assert set(typing.get_args(base.Side)) == set(recording.SIDES)
+    assert choices(Train, "fk") == set(FORWARD_KINEMATICS)
+    assert choices(ConvertRecording, "unit") == set(UNITS_M)
     files = [episode.RESULTS, log.TRIALS, parquet.EPISODES, lerobot.INFO]
-    assert list(options.RESULT_FILES) == files
+    assert list(base.RESULT_FILES) == files
 
 
 def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
@@ -113,11 +158,8 @@ def test_a_bar_appears_before_its_first_item_and_beside_a_long_note(capsys):
 
 def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
     """One object; nothing without the option; null for what is not finite; drafts only into files."""
-    parser = CommandParser(None, None)
-    parser.add_json("the figures")
-    parser.add_argument("recording", nargs="?")
     file = tmp_path / "new" / "figures.json"
-    targets = [parser.parse_args(words).json for words in ([], ["--json"], ["--json", str(file)])]
+    targets = [parse("hand list", words).json for words in ([], ["--json", "-"], ["--json", str(file)])]
     for target in targets:
         write_json(target, {"draft": 1}, done=False)
     assert capsys.readouterr().out == "" and json.loads(file.read_text()) == {"draft": 1}
@@ -125,11 +167,10 @@ def test_json_goes_to_stdout_or_into_a_file(tmp_path, capsys):
         write_json(target, {"a": [1.5, float("nan")], "b": (float("inf"), "x", True)})
     finite = {"a": [1.5, None], "b": [None, "x", True]}
     assert json.loads(capsys.readouterr().out) == json.loads(file.read_text()) == finite
-    assert parser.parse_args(["--json=~/figures.json"]).json == Path.home() / "figures.json"
+    assert parse("hand list", ["--json=~/figures.json"]).json == Path.home() / "figures.json"
     # A recording behind --json must not be overwritten.
-    with pytest.raises(SystemExit):
-        parser.parse_args(["--json", "hand.npy"])
-    assert "the name must end with .json; to print on stdout, give --json last" in capsys.readouterr().err
+    assert main(["hand", "list", "--json", "hand.npy"]) == 2
+    assert "hand.npy: the name must end with .json" in capsys.readouterr().err
 
 
 STOPPED_IMPORT = ImportError("initialization failed")  # what pybind11 makes of Ctrl-C during an import
@@ -141,7 +182,7 @@ STOPPED_IMPORT.__cause__ = KeyboardInterrupt()
     [
         (None, 0, ""),
         (RecordingError("hand.npy: no frames [1]"), 2, "error: hand.npy: no frames [1]\n"),
-        (PermissionError("a.npz: not allowed"), 2, "error: a.npz: not allowed\n"),
+        (PermissionError(13, "not allowed", "a.npz"), 2, "error: [Errno 13] not allowed: 'a.npz'\n"),
         (MemoryError("of 3 GB"), 2, "error: not enough memory: of 3 GB\n"),
         (KeyboardInterrupt(), 130, "interrupted\n"),
         (STOPPED_IMPORT, 130, "interrupted\n"),

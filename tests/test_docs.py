@@ -1,5 +1,6 @@
 """README and docs: snippets run, commands parse and run, options and targets exist, and the site builds."""
 
+import dataclasses
 import json
 import re
 import shlex
@@ -21,7 +22,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake import GloveReplay, load_hand, load_scenario, rerun, run_trial, synthesize_play, train_map
-from geort_drake.cli import COMMANDS, load_command, parser_of, run_command
+from geort_drake.cli import COMMANDS, load_command, parse, run_command, split_command
 from geort_drake.console import console
 from geort_drake.errors import OutputError
 from geort_drake.files import locked
@@ -162,34 +163,29 @@ def test_a_snippet_runs(page, number, desk, play, monkeypatch):
         given["recorder"].close()
 
 
-SCRIPT_COMMAND = re.compile(r'main\(\["([\w-]+)"')
-
-
 def documented() -> Iterator[str]:
-    """Command lines of all pages as `COMMAND ARGUMENTS`, also of scripts that call one."""
-    for line in shown(r"geort-drake [a-z]|python scripts/\w+\.py"):
-        program, _, rest = line.partition(" ")
-        if program == "python":
-            script, _, words = rest.partition(" ")
-            called = SCRIPT_COMMAND.search((ROOT / script).read_text("utf-8"))
-            rest = f"{called[1]} {words}" if called else "..."
-        if "..." not in rest and "…" not in rest:
-            yield rest.strip()
+    """Command lines of all pages as `COMMAND ARGUMENTS`."""
+    for line in shown(r"geort-drake [a-z]|python scripts/simulate_grasp\.py"):
+        words = line.replace("python scripts/simulate_grasp.py", "geort-drake grasp").partition(" ")[2]
+        if "..." not in words and "…" not in words and not words.startswith("help"):
+            yield words.strip()
 
 
 @pytest.mark.parametrize("line", sorted({*documented()}))
 def test_a_documented_command_parses(line, tmp_path, monkeypatch):
     """The command exists, it has these options, and they take these values."""
     monkeypatch.chdir(tmp_path)
-    name, *words = shlex.split(line.replace("[", "").replace("]", ""), comments=True)
-    parser = parser_of(name)
-    words = [{"N": "1", "K": "5"}.get(word, word) for word in words]
-    required = [action for action in parser._actions if action.required]
-    if words and words != ["--help"] and (len(words) > 2 or not required):
-        parser.parse_args(words)
-    else:  # inline code that names an option of the command
-        known = {option for action in parser._actions for option in action.option_strings}
-        assert {word.replace("_", "-") for word in words if word.startswith("--")} <= known
+    words = shlex.split(line.replace("[", "").replace("]", ""), comments=True)
+    name, rest = split_command(words)
+    assert name is not None or any(known.startswith(f"{words[0]} ") for known in COMMANDS), line
+    if name is None or not rest or rest == ["--help"]:
+        return
+    rest = [{"N": "1", "K": "5"}.get(word, word) for word in rest]
+    known = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(load_command(name))}
+    options = {word.partition("=")[0] for word in rest if word.startswith("--")}
+    assert {option.replace("--no-", "--") for option in options} <= known
+    if len(rest) > 2:
+        parse(name, rest)
 
 
 TINY = LIGHT["geort"] | {"steps": 3}
@@ -231,7 +227,7 @@ def test_commands_run(chain, tiny_work, capsys):
     """
     capsys.readouterr()
     for line, key in CHAINS[chain].items():
-        name, *words = shlex.split(line.format(settings=SETTINGS, short=SHORT))
+        name, words = split_command(shlex.split(line.format(settings=SETTINGS, short=SHORT)))
         assert run_command(name, [*words, *(["--json", "-"] if key else [])]) == 0
         captured = capsys.readouterr()
         assert key in json.loads(captured.out) if key else captured.out == ""
@@ -240,10 +236,10 @@ def test_commands_run(chain, tiny_work, capsys):
             if "rerun" in Path(words[0]).name:
                 assert list(Path().glob(words[1]))
                 continue
-            name, *rest = words[3 if words[1] == "-m" else 1 :]
-            arguments = parser_of(name).parse_args(rest)
-            given = [getattr(arguments, key, None) for key in ("recording", "retargeter", "input")]
-            assert all(path.exists() for path in given if isinstance(path, Path) and name != "capture")
+            name, rest = split_command(words[3 if words[1] == "-m" else 1 :])
+            suggested = parse(name, rest)
+            inputs = [getattr(suggested, key, None) for key in ("recording", "retargeter", "input")]
+            assert all(Path(path).exists() for path in inputs if isinstance(path, Path))
 
 
 @pytest.mark.slow
@@ -276,8 +272,8 @@ def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, m
 
 def test_every_command_is_run():
     """Those that are not run here have tests of their own."""
-    ran = {line.split()[0] for chain in CHAINS.values() for line in chain}
-    assert set(COMMANDS) - ran == {"add-hand", "capture"}
+    ran = {split_command(line.split())[0] for chain in CHAINS.values() for line in chain}
+    assert set(COMMANDS) - ran == {"hand add", "recording protocol"}
 
 
 @pytest.mark.parametrize(
@@ -297,10 +293,9 @@ def test_one_line_gives_another_object_or_seed(edit, options, expected, tmp_path
     line = {"o": "# object: { name: bottle }", "r": "random_seed: 0"}.get(edit[:1], "")
     assert line in text
     Path("edited.yaml").write_text(text.replace(line, edit, 1))
-    arguments = parser_of("grasp").parse_args([*shlex.split(options), "--scenario-file", "edited.yaml"])
-    base = load_scenario("edited.yaml", "Grasp", arguments.scenario_text)
-    found = load_command("grasp").scenarios_of(arguments, base)
-    assert [(scenario.object.name, scenario.random_seed) for scenario in found] == expected
+    grasp = parse("grasp", [*shlex.split(options), "--scenario-file", "edited.yaml"])
+    scenarios = grasp.scenarios_of(grasp.load_scenario())
+    assert [(scenario.object.name, scenario.random_seed) for scenario in scenarios] == expected
 
 
 @pytest.mark.parametrize("line", shown(r"(\w+=\w+ )?python \w+/"))

@@ -12,7 +12,7 @@ import os
 import sys
 import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from geort_drake.cli.base import Command
@@ -22,9 +22,9 @@ GROUPS: dict[str, dict[str, str]] = {
     "try and drive": {
         "grasp": "simulate:Grasp",
         "simulate": "simulate:Simulate",
-        "live": "live",
-        "live publish": "publish",
-        "live stand-in-robot": "stand_in_robot",
+        "live": "live:Live",
+        "live publish": "live:Publish",
+        "live stand-in-robot": "live:StandInRobot",
     },
     "record": {
         "recording check": "recording:CheckRecording",
@@ -32,7 +32,7 @@ GROUPS: dict[str, dict[str, str]] = {
         "recording synthesize": "recording:SynthesizeRecording",
         "recording protocol": "recording:ShowProtocol",
     },
-    "train": {"train": "train"},
+    "train": {"train": "train:Train"},
     "compare": {
         "evaluate": "evaluate:Evaluate",
         "explore": "explore:Explore",
@@ -45,16 +45,6 @@ GROUPS: dict[str, dict[str, str]] = {
     },
 }
 COMMANDS = {name: place for group in GROUPS.values() for name, place in group.items()}
-# Earlier names, until pages and tests have the new ones.
-_EARLIER = {
-    "add-hand": "hand add",
-    "check-recording": "recording check",
-    "convert": "recording convert",
-    "synthesize": "recording synthesize",
-    "capture": "recording protocol",
-    "publish": "live publish",
-    "stand-in-robot": "live stand-in-robot",
-}
 _USAGE = "usage: geort-drake COMMAND ...\n       geort-drake COMMAND --help\n       geort-drake --version\n"
 _HELP = {"-h", "--help"}
 
@@ -86,7 +76,7 @@ def _run(words: list[str]) -> int:
 
         print(__version__)
         return 0
-    command, rest = _split(words)
+    command, rest = split_command(words)
     if command is None:
         return _refuse(words, rest)
     if _HELP & {*rest}:
@@ -96,11 +86,10 @@ def _run(words: list[str]) -> int:
     return exit_code_of(lambda: run_command(command, rest), debug="--debug" in rest)
 
 
-def _split(words: Sequence[str]) -> tuple[str | None, list[str]]:
+def split_command(words: Sequence[str]) -> tuple[str | None, list[str]]:
     """Separates the name of a command, of one or two words, from its arguments."""
     for count in (2, 1):
         name = " ".join(words[:count])
-        name = _EARLIER.get(name, name)
         if name in COMMANDS:
             return name, list(words[count:])
     return None, list(words)
@@ -132,18 +121,15 @@ def run_command(name: str, argv: Sequence[str]) -> int:
         GeortError: the input is invalid; `main` prints the message and returns exit code 2.
         SystemExit: the arguments cannot be parsed, or request help.
     """
-    name = _EARLIER.get(name, name)
     options = parse(name, argv)
     from geort_drake.console import console
 
     console.quiet = options.quiet
-    return options.run() if ":" in COMMANDS[name] else load_command(name).run(options)
+    return options.run()
 
 
 def parse(name: str, argv: Sequence[str]) -> "Command":
     """Reads the arguments of a subcommand; raises SystemExit if they are wrong or request help."""
-    if ":" not in COMMANDS[name]:
-        return parser_of(name).parse_args(argv)
     import tyro
 
     command = load_command(name)
@@ -156,22 +142,10 @@ def parse(name: str, argv: Sequence[str]) -> "Command":
     )
 
 
-def parser_of(name: str) -> Any:
-    """Returns the argparse parser of a subcommand that is not a dataclass yet."""
-    name = _EARLIER.get(name, name)
-    from geort_drake.cli.options import CommandParser
-
-    command = load_command(name)
-    parser = CommandParser(f"geort-drake {name}", command.__doc__, getattr(command, "EPILOG", None))
-    command.add_arguments(parser)
-    return parser
-
-
-def load_command(name: str) -> Any:
+def load_command(name: str) -> "type[Command]":
     """Imports a subcommand."""
     module, _, attribute = COMMANDS[name].partition(":")
-    loaded = importlib.import_module(f"{__name__}.{module}")
-    return getattr(loaded, attribute) if attribute else loaded
+    return getattr(importlib.import_module(f"{__name__}.{module}"), attribute)
 
 
 def description_of(name: str) -> str:

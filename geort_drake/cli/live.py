@@ -1,170 +1,259 @@
-"""Drive a robot or its simulation with your hand in a browser, a glove, or a recording.
+"""Commands that drive a robot or its simulation live, and stand in for a glove or a robot."""
 
-Without options, a page in the browser takes your hand from the camera or a headset and shows the simulation.
-
-SOURCE is web, a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake publish`
-or a MANUS bridge that publishes), or pull+tcp://127.0.0.1:8000 (from a bridge that pushes).
-TARGET is simulation, zmq+tcp://127.0.0.1:5557 (joint targets of any hand, for a driver), lcm, or lcm+URL
-(an Allegro hand and a Panda arm). On the page, or with Enter, you engage and disengage. Ctrl-C stops; the
-robot holds its position. Messages over ZeroMQ and LCM are neither signed nor encrypted: whoever can send them
-moves the robot. The page asks for the key in its address.
-"""
-
-import argparse
 import math
 from pathlib import Path
+from typing import Annotated, Literal
 
-from geort_drake.cli.options import (
-    CommandParser,
+from tyro.conf import Positional, arg
+
+from geort_drake.cli.base import (
+    Command,
+    Json,
+    ScenarioOptions,
+    Side,
     command,
     finish,
-    port,
-    positive,
-    scenario_of,
+    options,
+    require,
+    require_json_file,
     write_json,
 )
 from geort_drake.errors import OutputError, UsageError
 
 
-def add_arguments(parser: CommandParser) -> None:
-    add = parser.add_argument
-    add("--glove", default="web", metavar="SOURCE", help="source of the hand motion")
-    add("--robot", default="simulation", metavar="TARGET", help="robot or simulation to drive")
-    trained = (
-        "checkpoint or map (default: the hand's universal map; without one, a checkpoint trained on "
-        "synthetic play; if the cache has none, training it takes minutes before anything moves)"
-    )
-    add("--retargeter", type=Path, help=trained)
-    add("--glove-id", help="serial number of the MANUS glove, if a bridge sends several")
-    add("--engage", default="key", choices=["key", "now"], help="engage with Enter, or at once")
-    add(
-        "--relax-after",
-        type=positive,
-        default=5.0,
-        help="seconds to hold after the hand is lost, before relaxing",
-    )
-    add("--duration", type=positive, default=math.inf, help="stop after this many seconds (default: never)")
-    add("--timeout", type=positive, default=10.0, help="seconds to wait for glove and robot")
-    add(
-        "--robot-silence",
-        type=positive,
-        default=0.5,
-        help="stop if the robot sends nothing for this many seconds",
-    )
-    record = "record the followed hand to a file (.npz); from the page, to a folder (default: runs/live)"
-    add("--record", type=Path, metavar="PATH", help=record)
-    local = "address of the page; beyond this machine, it uses TLS with a self-signed certificate"
-    add("--host", default="127.0.0.1", help=local)
-    add("--port", type=port, default=8742, help="port of the page; 0 for any")
-    add("--no-open", action="store_true", help="do not open the browser")
-    add("--meshcat", action="store_true", help="show the simulation in a browser on this machine")
-    parser.add_json("a report")
-    parser.add_scenario("{correction: {kind: guard}}")
+@options
+class Live(Command, ScenarioOptions):
+    """Drive a robot or its simulation with your hand in a browser, a glove, or a recording.
 
+    Without options, a page in the browser takes your hand from the camera or a headset and shows the
+    simulation.
 
-def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import GloveReplay, load_hand, read_recording
-    from geort_drake.cli.live_session import (
-        checkpoint_of,
-        load,
-        print_keys,
-        print_summary,
-        say_state,
-        summary_of,
-    )
-    from geort_drake.console import warn
-    from geort_drake.live.glove_stream import GloveStream
-    from geort_drake.live.robot_buses import ROBOT_PATTERNS, open_bus
-    from geort_drake.live.robot_link import RobotLink
-    from geort_drake.live.robots import SimulatedRobot, open_meshcat
-    from geort_drake.live.session import EnterKey, run_session, stopping
-    from geort_drake.live.teleoperation import make_teleoperation
-    from geort_drake.live.transports import is_address, open_receiver, split_address
-    from geort_drake.people.recording_log import RecordingLog
-    from geort_drake.simulation.following import RobotModel
-    from geort_drake.systems.glove_recorder import GloveRecorder
+    SOURCE is web, a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake live
+    publish` or a MANUS bridge that publishes), or pull+tcp://127.0.0.1:8000 (from a bridge that pushes).
+    TARGET is simulation, zmq+tcp://127.0.0.1:5557 (joint targets of any hand, for a driver), lcm, or lcm+URL
+    (an Allegro hand and a Panda arm).
 
-    if arguments.meshcat and arguments.robot != "simulation":
-        raise UsageError("--meshcat shows the simulation; give it to `geort-drake stand-in-robot`")
-    if arguments.record is not None and arguments.record.is_file():
-        raise OutputError(f"{arguments.record} exists; choose another file for the recording")
-    scenario = scenario_of(arguments)
-    description = load_hand(scenario.hand)
-    side, duration = description.side, arguments.duration
-    address = None if arguments.robot == "simulation" else arguments.robot
-    if address:
-        split_address(address, ROBOT_PATTERNS)
-    if arguments.glove == "web":
-        from geort_drake.cli.live_web import run_web
+    On the page, or with Enter, you engage and disengage. Ctrl-C stops; the robot holds its position. Messages
+    over ZeroMQ and LCM are neither signed nor encrypted: whoever can send them moves the robot. The page asks
+    for the key in its address.
+    """
 
-        return run_web(arguments, scenario, description, address)
-    receiver = None
-    if is_address(arguments.glove):
-        receiver = open_receiver(arguments.glove)
-        glove = GloveStream(receiver, side, arguments.glove_id)
-    else:
-        glove = GloveReplay(read_recording(arguments.glove, side))
-        duration = min(duration, glove.duration)
-    _warn_of_open_addresses(arguments.glove if receiver else None, address)
+    glove: Annotated[str, arg(metavar="SOURCE")] = "web"
+    """source of the hand motion"""
+    robot: Annotated[str, arg(metavar="TARGET")] = "simulation"
+    """robot or simulation to drive"""
+    retargeter: Annotated[Path | None, arg(metavar="MAP")] = None
+    """map (default: the hand's universal map; without one, a map trained on synthetic play; if the cache has
+    none, training it takes minutes before anything moves)"""
+    glove_id: Annotated[str | None, arg(metavar="ID")] = None
+    """serial number of the MANUS glove, if a bridge sends several"""
+    engage: Literal["key", "now"] = "key"
+    """engage with Enter, or at once"""
+    relax_after: Annotated[float, arg(metavar="S")] = 5.0
+    """seconds to hold after the hand is lost, before relaxing"""
+    duration: Annotated[float, arg(metavar="S")] = math.inf
+    """stop after this many seconds"""
+    timeout: Annotated[float, arg(metavar="S")] = 10.0
+    """seconds to wait for glove and robot"""
+    robot_silence: Annotated[float, arg(metavar="S")] = 0.5
+    """stop if the robot sends nothing for this many seconds"""
+    record: Annotated[Path | None, arg(metavar="PATH")] = None
+    """record the followed hand to a file (.npz); from the page, to a folder (default: runs/live)"""
+    host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
+    """address of the page; beyond this machine, it uses TLS with a self-signed certificate"""
+    port: Annotated[int, arg(metavar="N")] = 8742
+    """port of the page; 0 for any"""
+    open: bool = True
+    """do not open the browser"""  # help of the flag --no-open
+    meshcat: bool = False
+    """show the simulation in a browser on this machine"""
+    json: Json = None
 
-    retarget = load(checkpoint_of(arguments, description), description)
-    model = RobotModel(scenario, description)
-    recorder = None
-    if arguments.record:
-        parts = RecordingLog(arguments.record, {"side": side, "source": "teleoperation"})
-        if parts.recovered:
-            warn(f"an earlier session to {arguments.record} was interrupted; it is kept as {parts.recovered}")
-        recorder = GloveRecorder(scenario.retargeting.period, parts)
-    link = None
-    if address:
-        bus = open_bus(address, description)
-        link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
-    try:
-        if receiver:
-            glove.handshake(arguments.timeout)
-        if link is None:
-            robot = SimulatedRobot(
-                scenario, description, model, open_meshcat() if arguments.meshcat else None
-            )
-            start = robot.hand.start, robot.arm.start
-        else:
-            robot, start = link, link.handshake(arguments.timeout)
-        loop = make_teleoperation(
-            scenario,
-            description,
-            model,
-            retarget,
-            glove,
-            robot,
-            start,
-            arguments.relax_after,
-            recorder,
+    def run(self) -> int:
+        from geort_drake import GloveReplay, load_hand, read_recording
+        from geort_drake.cli.live_session import (
+            checkpoint_of,
+            load,
+            print_keys,
+            print_summary,
+            say_state,
+            summary_of,
         )
-        engaged = arguments.engage == "now"
-        print_keys("" if engaged else "Enter engages and disengages. ")
-        with stopping() as stop:
-            report = run_session(
-                loop,
-                engaged,
-                None if engaged else EnterKey(),
-                duration,
-                stop.is_set,
-                lambda: link.require_alive(arguments.robot_silence) if link else None,
-                say_state,
+        from geort_drake.console import warn
+        from geort_drake.live.glove_stream import GloveStream
+        from geort_drake.live.robot_buses import ROBOT_PATTERNS, open_bus
+        from geort_drake.live.robot_link import RobotLink
+        from geort_drake.live.robots import SimulatedRobot, open_meshcat
+        from geort_drake.live.session import EnterKey, run_session, stopping
+        from geort_drake.live.teleoperation import make_teleoperation
+        from geort_drake.live.transports import is_address, open_receiver, split_address
+        from geort_drake.people.recording_log import RecordingLog
+        from geort_drake.simulation.following import RobotModel
+        from geort_drake.systems.glove_recorder import GloveRecorder
+
+        require_json_file(self.json)
+        for option in ("relax_after", "duration", "timeout", "robot_silence"):
+            value = getattr(self, option)
+            require(value > 0, f"--{option.replace('_', '-')}", "a positive number", value)
+        require(0 <= self.port < 65536, "--port", "a port from 0 to 65535", self.port)
+        if self.meshcat and self.robot != "simulation":
+            raise UsageError("--meshcat shows the simulation; give it to `geort-drake live stand-in-robot`")
+        if self.record is not None and self.record.is_file():
+            raise OutputError(f"{self.record} exists; choose another file for the recording")
+        scenario = self.load_scenario()
+        description = load_hand(scenario.hand)
+        side, duration = description.side, self.duration
+        address = None if self.robot == "simulation" else self.robot
+        if address:
+            split_address(address, ROBOT_PATTERNS)
+        if self.glove == "web":
+            from geort_drake.cli.live_web import run_web
+
+            return run_web(self, scenario, description, address)
+        receiver = None
+        if is_address(self.glove):
+            receiver = open_receiver(self.glove)
+            glove = GloveStream(receiver, side, self.glove_id)
+        else:
+            glove = GloveReplay(read_recording(self.glove, side))
+            duration = min(duration, glove.duration)
+        _warn_of_open_addresses(self.glove if receiver else None, address)
+
+        retarget = load(checkpoint_of(self, description), description)
+        model = RobotModel(scenario, description)
+        recorder = None
+        if self.record:
+            parts = RecordingLog(self.record, {"side": side, "source": "teleoperation"})
+            if parts.recovered:
+                warn(f"an earlier session to {self.record} was interrupted; it is kept as {parts.recovered}")
+            recorder = GloveRecorder(scenario.retargeting.period, parts)
+        link = None
+        if address:
+            bus = open_bus(address, description)
+            link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
+        try:
+            if receiver:
+                glove.handshake(self.timeout)
+            if link is None:
+                robot = SimulatedRobot(scenario, description, model, open_meshcat() if self.meshcat else None)
+                start = robot.hand.start, robot.arm.start
+            else:
+                robot, start = link, link.handshake(self.timeout)
+            loop = make_teleoperation(
+                scenario,
+                description,
+                model,
+                retarget,
+                glove,
+                robot,
+                start,
+                self.relax_after,
+                recorder,
             )
-    finally:
-        if receiver:
-            receiver.close()
-        if link:
-            link.bus.close()
-        # Finishes the recording even if the session ended with an error.
-        recorded = recorder is not None and recorder.finish()
-    summary = summary_of(report, loop, link)
-    print_summary(summary)
-    if recorded:
-        finish({"Recording": arguments.record}, command("grasp", "--recording", arguments.record))
-    write_json(arguments.json, summary)
-    return 0
+            engaged = self.engage == "now"
+            print_keys("" if engaged else "Enter engages and disengages. ")
+            with stopping() as stop:
+                report = run_session(
+                    loop,
+                    engaged,
+                    None if engaged else EnterKey(),
+                    duration,
+                    stop.is_set,
+                    lambda: link.require_alive(self.robot_silence) if link else None,
+                    say_state,
+                )
+        finally:
+            if receiver:
+                receiver.close()
+            if link:
+                link.bus.close()
+            # Finishes the recording even if the session ended with an error.
+            recorded = recorder is not None and recorder.finish()
+        summary = summary_of(report, loop, link)
+        print_summary(summary)
+        if recorded:
+            finish({"Recording": self.record}, command("grasp", recording=self.record))
+        write_json(self.json, summary)
+        return 0
+
+
+@options
+class Publish(Command):
+    """Send a recording as glove messages, one per frame.
+
+    ADDRESS is pub+tcp://127.0.0.1:5556 (ZeroMQ, for `geort-drake live --glove sub+tcp://127.0.0.1:5556`) or
+    push+tcp://127.0.0.1:8000 (for pull+tcp://…). Ctrl-C stops it.
+    """
+
+    recording: Positional[Path]
+    """a recording in any known format"""
+    to: Annotated[str, arg(metavar="ADDRESS")] = "pub+tcp://127.0.0.1:5556"
+    """address to send to"""
+    side: Side = "right"
+    """side of the recorded hand"""
+    loop: bool = False
+    """repeat the recording"""
+
+    def run(self) -> int:
+        from geort_drake import read_recording
+        from geort_drake.console import say, warn
+        from geort_drake.live.session import play, stopping
+        from geort_drake.live.transports import is_local, open_sender
+
+        recording = read_recording(self.recording, self.side)
+        sender = open_sender(self.to)
+        if not is_local(self.to):
+            warn(f"{self.to} is open to the network")
+        say(f"{len(recording)} frames of a {recording.side} hand to {self.to}; Ctrl-C stops")
+        sent = 0
+        try:
+            with stopping() as stop:
+                while True:
+                    sent += play(recording, sender.send, stop)
+                    if stop.is_set() or not self.loop:
+                        break
+        finally:
+            sender.close()
+        say(f"{sent} messages sent")
+        return 0
+
+
+@options
+class StandInRobot(Command, ScenarioOptions):
+    """Simulate a robot that is controlled like a real one, over ZeroMQ or LCM.
+
+    ADDRESS is that of `geort-drake live --robot`. Over ZeroMQ, it takes joint targets of any hand; over LCM,
+    it is a Panda with an Allegro hand. It holds its last command when no more arrive. Ctrl-C stops it.
+    """
+
+    robot: Annotated[str, arg(metavar="ADDRESS")] = "zmq+tcp://127.0.0.1:5557"
+    """zmq+tcp://HOST:PORT, lcm, or lcm+URL"""
+    duration: Annotated[float, arg(metavar="S")] = math.inf
+    """duration, s"""
+    meshcat: bool = False
+    """show it in a browser on this machine"""
+
+    def run(self) -> int:
+        from pydrake.systems.analysis import Simulator
+
+        from geort_drake.console import say, warn
+        from geort_drake.live.robots import make_stand_in, open_meshcat
+        from geort_drake.live.session import run_in_real_time, stopping
+
+        require(self.duration > 0, "--duration", "a positive number", self.duration)
+        scenario = self.load_scenario()
+        diagram = make_stand_in(scenario, self.robot, open_meshcat() if self.meshcat else None)
+        simulator = Simulator(diagram)
+        simulator.Initialize()
+        root = simulator.get_context()
+        say(f"{scenario.hand} at {self.robot}; Ctrl-C stops it")
+        with stopping() as stop:
+            late = run_in_real_time(
+                simulator, 0.02, lambda: not stop.is_set() and root.get_time() < self.duration
+            )
+        if late:
+            warn(f"the simulation was slower than real time {late} times")
+        return 0
 
 
 def _warn_of_open_addresses(glove: str | None, robot: str | None) -> None:

@@ -1,11 +1,10 @@
 """Shared by all sessions of `geort-drake live`: loading the map, messages and the report."""
 
-import argparse
 import dataclasses
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from geort_drake.cli.options import scenario_of
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.model import HandModel
@@ -17,11 +16,14 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting.base import Retargeter
 from geort_drake.retargeting.store import load_retargeter, shipped_maps
 
+if TYPE_CHECKING:
+    from geort_drake.cli.live import Live
 
-def checkpoint_of(arguments: argparse.Namespace, description: HandDescription) -> Path:
+
+def checkpoint_of(command: "Live", description: HandDescription) -> Path:
     """Returns the file of the requested map; by default the hand's universal map, else a trained one."""
-    hand = scenario_of(arguments).hand
-    if (path := arguments.retargeter or shipped_maps().get(hand)) is not None:
+    hand = command.load_scenario().hand
+    if (path := command.retargeter or shipped_maps().get(hand)) is not None:
         return path
     say(f"no universal map is shipped for {hand}; using a map trained on synthetic play")
     from geort_drake.retargeting.train import cached_map  # loads PyTorch

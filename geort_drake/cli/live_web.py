@@ -1,12 +1,12 @@
 """Runs `geort-drake live` with the page: serves it and runs its sessions."""
 
-import argparse
 import copy
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from geort_drake.cli.base import command, finish, write_json
 from geort_drake.cli.live_session import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
-from geort_drake.cli.options import command, finish, write_json
 from geort_drake.console import console
 from geort_drake.errors import GeortError, UsageError
 from geort_drake.files import require_writable
@@ -27,29 +27,30 @@ from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.task import Task
 from geort_drake.simulation.tasks import find_task, task_names
 
+if TYPE_CHECKING:
+    from geort_drake.cli.live import Live
+
 # Folder of the page's recordings, unless --record names another.
 _RECORDINGS = Path("runs/live")
 
 
-def run_web(
-    arguments: argparse.Namespace, scenario: Scenario, description: HandDescription, address: str | None
-) -> int:
+def run_web(options: "Live", scenario: Scenario, description: HandDescription, address: str | None) -> int:
     """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
     page = find_page()
-    if arguments.meshcat:
+    if options.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
-    if arguments.record:
-        require_writable(arguments.record, directory=True)
+    if options.record:
+        require_writable(options.record, directory=True)
     if address:
         _confirm_real_robot()
-    checkpoint = checkpoint_of(arguments, description)
+    checkpoint = checkpoint_of(options, description)
     model = RobotModel(scenario, description)
     link = None
     if address:
         bus = open_bus(address, description)
         link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
-    words = f"map of {checkpoint.name}" if arguments.retargeter else "universal map"
-    if arguments.retargeter is None and checkpoint.is_dir():
+    words = f"map of {checkpoint.name}" if options.retargeter else "universal map"
+    if options.retargeter is None and checkpoint.is_dir():
         words = "map trained on synthetic play"
     scenarios = {scenario.task: scenario}
     tasks: dict[str, list[str]] = {}
@@ -61,9 +62,9 @@ def run_web(
             tasks[name], instructions[name] = task.cases(), task.summary
     robot = "real" if address else "simulation"
     about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
-    folder = arguments.record or _RECORDINGS
+    folder = options.record or _RECORDINGS
     station = OperatorStation(about, play=lambda: RecordedHand(_recorded_hand(folder, description.side)))
-    with open_server(station, page, arguments.host, arguments.port, not arguments.no_open) as server:
+    with open_server(station, page, options.host, options.port, options.open) as server:
         control = PageControl(station, server.publish, folder)
         teleoperation = WebTeleoperation(
             scenarios,
@@ -74,17 +75,17 @@ def run_web(
             server,
             control,
             link,
-            arguments.relax_after,
+            options.relax_after,
         )
         print_keys("")
         try:
             with stopping() as stop:
                 report, loop = teleoperation.run(
-                    arguments.engage == "now",
-                    arguments.duration,
+                    options.engage == "now",
+                    options.duration,
                     stop.is_set,
-                    arguments.timeout,
-                    arguments.robot_silence,
+                    options.timeout,
+                    options.robot_silence,
                     say_state,
                 )
         finally:
@@ -97,8 +98,8 @@ def run_web(
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]
-        finish({"Recording": last}, command("grasp", "--replay", last))
-    write_json(arguments.json, summary)
+        finish({"Recording": last}, command("grasp", replay=last))
+    write_json(options.json, summary)
     return 0
 
 

@@ -1,143 +1,177 @@
-"""Train a map for a robot hand, on a recording of a person's hand or on synthetic people.
+"""The command that trains maps."""
 
-geort-drake train --hand allegro_right --recording alex.npy --output runs/alex.safetensors
-geort-drake train --hand my_hand.yaml --universal --output my_hand.safetensors
-"""
-
-import argparse
 import dataclasses
 import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from geort_drake.cli.options import DEFAULT_METHOD, CommandParser, finish, output_file, write_json
+from tyro.conf import UseAppendAction, arg
+
+from geort_drake.cli.base import (
+    Command,
+    Hand,
+    Json,
+    finish,
+    methods_epilog,
+    options,
+    require,
+    require_json_file,
+    require_output_file,
+    write_json,
+)
 from geort_drake.cli.simulate import try_out
 
 if TYPE_CHECKING:
     from geort_drake.hands.hand import Hand as HandModel
     from geort_drake.retargeting.universal.person import UniversalRetargeter
 
-EPILOG = """\
-{trained methods}
-In the five minutes of a recording, the person should move every finger to its limits and pinch each with the
-thumb. geort_drake.load_retargeter(FILE) loads the map.
 
---universal trains the map of the method universal, which serves every person, in a quarter of an hour on one
-core; the same command resumes it. If a hand of the same name with the other side is known and is the mirror
-image, its map is written beside FILE. The same seed gives the same weights bit for bit, with the same package
-versions and the same kind of processor.
+@options
+class Train(Command):
+    """Train a map for a robot hand, on a recording of a person's hand or on synthetic people.
 
-Exit codes: 0 success; 2 the input is invalid or the loss is not finite, and nothing was written.
-"""
+      geort-drake train --hand allegro_right --recording alex.npy --output runs/alex.safetensors
+      geort-drake train --hand my_hand.yaml --universal --output my_hand.safetensors
 
+    In the five minutes of a recording, the person should move every finger to its limits and pinch each with
+    the thumb. geort_drake.load_retargeter(FILE) loads the map.
 
-def add_arguments(parser: CommandParser) -> None:
-    add = parser.add_argument
-    parser.add_hand()
-    add("--recording", type=Path, help="recording of a human hand (default: five minutes of synthetic play)")
-    add("--output", type=output_file(".safetensors"), required=True, metavar="FILE", help="map to write")
-    add("--method", metavar="NAME", default=DEFAULT_METHOD, help="method to train, one of those below")
-    universal = "train a map for every person, on synthetic people, instead of --method"
-    add("--universal", action="store_true", help=universal)
-    add("--start", type=Path, metavar="MAP", help="universal map of the hand from which --universal starts")
-    kinematics = "forward kinematics in the training of geort (default: neural, as in the paper)"
-    add("--fk", choices=["neural", "exact"], help=kinematics)
-    parser.add_seed("robot samples, synthetic play, training and metrics")
-    add("--device", default="cpu", choices=["cpu", "cuda"], help="where to train")
-    add("--steps", type=int, help="number of training steps (default: the method's)")
-    setting = "change a setting of the method; repeatable; an unknown NAME lists all settings"
-    add("--set", action="append", default=[], metavar="NAME=VALUE", help=setting)
-    parser.add_json("the metrics")
+    --universal trains the map of the method universal, which serves every person, in a quarter of an hour on
+    one core; the same command resumes it. If a hand of the same name with the other side is known and is the
+    mirror image, its map is written beside FILE. The same seed gives the same weights bit for bit, with the
+    same package versions and the same kind of processor.
 
+    Exit codes: 0 success; 2 the input is invalid or the loss is not finite, and nothing was written.
+    """
 
-def run(arguments: argparse.Namespace) -> int:
-    from geort_drake import HandModel, evaluate, load_hand, train_map
-    from geort_drake.console import print_table, progress_bar, warn
-    from geort_drake.retargeting.train import training_recording
+    output: Annotated[Path, arg(metavar="FILE")]
+    """map to write (.safetensors)"""
+    hand: Hand = "allegro_right"
+    recording: Annotated[Path | None, arg(metavar="FILE")] = None
+    """recording of a human hand (default: five minutes of synthetic play)"""
+    method: Annotated[str, arg(metavar="NAME")] = "geort"
+    """method to train, one of those below"""
+    universal: bool = False
+    """train a map for every person, on synthetic people, instead of --method"""
+    start: Annotated[Path | None, arg(metavar="MAP")] = None
+    """universal map of the hand from which --universal starts"""
+    fk: Literal["neural", "exact"] | None = None
+    """forward kinematics in the training of geort (default: neural, as in the paper)"""
+    seed: int = 0
+    """seed of robot samples, synthetic play, training and metrics"""
+    device: Literal["cpu", "cuda"] = "cpu"
+    """where to train"""
+    steps: Annotated[int | None, arg(metavar="N")] = None
+    """number of training steps (default: the method's)"""
+    set: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME=VALUE")]] = ()
+    """change a setting of the method; repeatable; an unknown NAME lists all settings"""
+    json: Json = None
 
-    if arguments.universal:
-        return _train_universal(arguments)
-    hand, settings = HandModel(load_hand(arguments.hand)), _settings(arguments)
-    recording = training_recording(arguments.recording, hand.description.side, arguments.seed)
-    started = time.perf_counter()
-    with warnings.catch_warnings():
-        # The map stores the warnings, which are shown below.
-        warnings.simplefilter("ignore", RuntimeWarning)
-        retargeter = train_map(
-            hand,
-            recording,
-            arguments.method,
-            arguments.seed,
-            arguments.device,
-            settings,
-            show_progress=not arguments.quiet,
-        )
-    spent = time.perf_counter() - started
-    with progress_bar(not arguments.quiet) as bars, bars.spinner("evaluation"):
-        metrics = evaluate(retargeter, hand, recording, arguments.seed)
-    metrics = {
-        "hand": hand.description.name,
-        "recording_sha256": recording.digest,
-        "seed": arguments.seed,
-        **metrics,
-    }
-    retargeter.info["metrics"] = metrics
-    retargeter.save(arguments.output)
-    title = f"{arguments.method} on {metrics['hand']}, seed {arguments.seed}, {spent:.0f} s"
-    print_table(("metric", "value"), metric_rows(metrics), title)
-    for text in retargeter.info["provenance"]["warnings"]:
-        warn(text)
-    write_json(arguments.json, metrics)
-    finish({"Map": arguments.output}, try_out(arguments.output, arguments.hand, arguments.recording))
-    return 0
+    @staticmethod
+    def epilog() -> str:
+        return methods_epilog(trained=True)
 
+    def run(self) -> int:
+        from geort_drake import HandModel, evaluate, load_hand, train_map
+        from geort_drake.console import print_table, progress_bar, warn
+        from geort_drake.retargeting.train import training_recording
 
-def _train_universal(arguments: argparse.Namespace) -> int:
-    from geort_drake import HandModel, load_hand, load_retargeter
-    from geort_drake.console import print_table, progress_bar
-    from geort_drake.errors import GeortError
-    from geort_drake.hands.collision_shapes import canonical_shapes
-    from geort_drake.hands.hand import canonical_kinematics
-    from geort_drake.retargeting.universal.losses import UniversalSettings
-    from geort_drake.retargeting.universal.person import UniversalRetargeter
-    from geort_drake.retargeting.universal.train import mirrored_map, train_universal
-    from geort_drake.settings import parse_settings
+        require_output_file(self.output, ".safetensors")
+        require_json_file(self.json)
+        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
+        if self.universal:
+            return self._train_universal()
+        hand, settings = HandModel(load_hand(self.hand)), self._settings()
+        recording = training_recording(self.recording, hand.description.side, self.seed)
+        started = time.perf_counter()
+        with warnings.catch_warnings():
+            # The map stores the warnings, which are shown below.
+            warnings.simplefilter("ignore", RuntimeWarning)
+            retargeter = train_map(
+                hand,
+                recording,
+                self.method,
+                self.seed,
+                self.device,
+                settings,
+                show_progress=not self.quiet,
+            )
+        spent = time.perf_counter() - started
+        with progress_bar(not self.quiet) as bars, bars.spinner("evaluation"):
+            metrics = evaluate(retargeter, hand, recording, self.seed)
+        metrics = {
+            "hand": hand.description.name,
+            "recording_sha256": recording.digest,
+            "seed": self.seed,
+            **metrics,
+        }
+        retargeter.info["metrics"] = metrics
+        retargeter.save(self.output)
+        title = f"{self.method} on {metrics['hand']}, seed {self.seed}, {spent:.0f} s"
+        print_table(("metric", "value"), metric_rows(metrics), title)
+        for text in retargeter.info["provenance"]["warnings"]:
+            warn(text)
+        write_json(self.json, metrics)
+        finish({"Map": self.output}, try_out(self.output, self.hand, self.recording))
+        return 0
 
-    if arguments.recording is not None:
-        raise GeortError("--universal trains on synthetic people; --recording has no effect with it")
-    hand, output = HandModel(load_hand(arguments.hand)), Path(arguments.output)
-    changes = parse_settings(arguments.set, UniversalSettings(), "the universal map")
-    if arguments.steps is not None:
-        changes["steps"] = arguments.steps
-    kinematics = canonical_kinematics(hand)
-    start = None if arguments.start is None else load_retargeter(arguments.start)
-    if not isinstance(start, UniversalRetargeter | None):
-        raise GeortError(f"--start: {arguments.start} is no universal map")
-    with progress_bar(not arguments.quiet) as bars:
-        retargeter = train_universal(
-            kinematics,
-            canonical_shapes(hand),
-            dataclasses.replace(UniversalSettings(), **changes),
-            arguments.seed,
-            arguments.device,
-            bars.losses("training", None),
-            output.with_suffix(".state"),
-            start,
-        )
-    written = {"Map": _save_universal(retargeter, hand, output)}
-    if (other := _other_side(hand)) is not None:
-        converted = mirrored_map(retargeter, kinematics, canonical_kinematics(other))
-        if converted is not None:
-            path = output.with_name(f"{other.description.name}{output.suffix}")
-            written[f"Map for {other.description.name}"] = _save_universal(converted, other, path)
-    figures = retargeter.info["figures"]
-    rows = [(name.replace("_", " "), f"{value:.4f}") for name, value in figures.items()]
-    print_table(("figure of the training", "value"), rows, f"{hand.description.name}, seed {arguments.seed}")
-    write_json(arguments.json, figures)
-    finish(written, try_out(arguments.output, arguments.hand, None))
-    return 0
+    def _train_universal(self) -> int:
+        from geort_drake import HandModel, load_hand, load_retargeter
+        from geort_drake.console import print_table, progress_bar
+        from geort_drake.errors import GeortError
+        from geort_drake.hands.collision_shapes import canonical_shapes
+        from geort_drake.hands.hand import canonical_kinematics
+        from geort_drake.retargeting.universal.losses import UniversalSettings
+        from geort_drake.retargeting.universal.person import UniversalRetargeter
+        from geort_drake.retargeting.universal.train import mirrored_map, train_universal
+        from geort_drake.settings import parse_settings
+
+        if self.recording is not None:
+            raise GeortError("--universal trains on synthetic people; --recording has no effect with it")
+        hand, output = HandModel(load_hand(self.hand)), self.output
+        changes = parse_settings(list(self.set), UniversalSettings(), "the universal map")
+        if self.steps is not None:
+            changes["steps"] = self.steps
+        kinematics = canonical_kinematics(hand)
+        start = None if self.start is None else load_retargeter(self.start)
+        if not isinstance(start, UniversalRetargeter | None):
+            raise GeortError(f"--start: {self.start} is no universal map")
+        with progress_bar(not self.quiet) as bars:
+            retargeter = train_universal(
+                kinematics,
+                canonical_shapes(hand),
+                dataclasses.replace(UniversalSettings(), **changes),
+                self.seed,
+                self.device,
+                bars.losses("training", None),
+                output.with_suffix(".state"),
+                start,
+            )
+        written = {"Map": _save_universal(retargeter, hand, output)}
+        if (other := _other_side(hand)) is not None:
+            converted = mirrored_map(retargeter, kinematics, canonical_kinematics(other))
+            if converted is not None:
+                path = output.with_name(f"{other.description.name}{output.suffix}")
+                written[f"Map for {other.description.name}"] = _save_universal(converted, other, path)
+        figures = retargeter.info["figures"]
+        rows = [(name.replace("_", " "), f"{value:.4f}") for name, value in figures.items()]
+        print_table(("figure of the training", "value"), rows, f"{hand.description.name}, seed {self.seed}")
+        write_json(self.json, figures)
+        finish(written, try_out(self.output, self.hand, None))
+        return 0
+
+    def _settings(self) -> dict[str, Any]:
+        """Returns the method's settings from --set, --steps and --fk; later ones take precedence."""
+        from geort_drake.retargeting.train import training_config
+        from geort_drake.settings import parse_settings
+
+        config = training_config(self.method)
+        settings = parse_settings(list(self.set), config, self.method)
+        settings |= {name: value for name in ("steps", "fk") if (value := getattr(self, name)) is not None}
+        training_config(self.method, settings)  # refuses values before the recording is read
+        return settings
 
 
 def _save_universal(retargeter: "UniversalRetargeter", hand: "HandModel", path: Path) -> Path:
@@ -164,18 +198,6 @@ def _other_side(hand: "HandModel") -> "HandModel | None":
     except UnknownNameError:
         return None
     return model if model.description.side == other else None
-
-
-def _settings(arguments: argparse.Namespace) -> dict[str, Any]:
-    """Returns the method's settings from --set, --steps and --fk; later ones take precedence."""
-    from geort_drake.retargeting.train import training_config
-    from geort_drake.settings import parse_settings
-
-    config = training_config(arguments.method)
-    settings = parse_settings(arguments.set, config, arguments.method)
-    settings |= {name: value for name in ("steps", "fk") if (value := getattr(arguments, name)) is not None}
-    training_config(arguments.method, settings)  # refuses values before the recording is read
-    return settings
 
 
 def metric_rows(metrics: dict) -> Iterator[tuple[str, str]]:
