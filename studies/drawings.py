@@ -1,4 +1,4 @@
-"""Draws the docs' pictures that explain: the keypoints and frames, the pipeline, the five criteria.
+"""Draws the docs' pictures that explain: keypoints and frames, pipeline, criteria, and the main results.
 
 python studies/drawings.py --output docs/images
 """
@@ -182,6 +182,41 @@ def _collision(axes: Axes) -> None:
     axes.text(1.0, -0.02, "beside, not through", ha="center", color=INK, fontsize=9)
 
 
+# Method → motion preservation, pinches closed (%), self-collision over 2 mm (%), on the recording of GeoRT's
+# authors (docs/results/universal-map.md and open-loop.md). The last column says what the method saw of it.
+RESULTS = {
+    "universal": (0.960, 91.0, 0.3, "first second"),
+    "affine_ik": (0.956, 33.0, 5.1, "fitted to it"),
+    "geort": (0.987, 97.4, 26.8, "trained on it"),
+    "telekinesis": (0.787, 81.8, 28.9, "trained on it"),
+    "anyteleop": (0.827, 81.4, 29.6, "scaled to it"),
+    "dexpilot": (0.775, 100.0, 34.5, "scaled to it"),
+}
+
+
+def draw_results() -> Figure:
+    """What six methods get right on one recording: directions, pinches, and freedom from collisions."""
+    panels = (
+        ("motion preservation  (more is better)", (0, 1.18), "{:.3f}"),
+        ("pinches closed, %  (more is better)", (0, 118), "{:.0f}"),
+        ("self-collision, %  (less is better)", (0, 42), "{:.1f}"),
+    )
+    figure, axes = plt.subplots(1, 3, figsize=(10.4, 2.6), sharey=True)
+    names = [f"{name}\n({row[3]})" for name, row in RESULTS.items()]
+    for column, (each, (title, limits, form)) in enumerate(zip(axes, panels, strict=True)):
+        values = [float(row[column]) for row in RESULTS.values()]
+        colours = [ROBOT if name == "universal" else PALE for name in RESULTS]
+        bars = each.barh(names, [value - limits[0] for value in values], left=limits[0], color=colours)
+        each.bar_label(bars, [form.format(value) for value in values], padding=3, fontsize=8, color=INK)
+        each.set_xlim(*limits)
+        each.set_title(title, fontsize=9.5, color=INK)
+        each.spines[["top", "right", "bottom", "left"]].set_visible(False)
+        each.tick_params(left=False, bottom=False, labelbottom=False, labelsize=8, labelcolor=INK)
+    axes[0].invert_yaxis()
+    figure.tight_layout()
+    return figure
+
+
 def arrow(axes: Axes, start: Sequence[float], end: Sequence[float], colour: str) -> None:
     """Draws an arrow between two points of the data's coordinates."""
     patch = FancyArrowPatch(
@@ -205,7 +240,12 @@ def finish(axes: Axes, title: str = "") -> None:
         axes.set_title(title, fontsize=11, color=INK)
 
 
-DRAWINGS = {"keypoints": draw_keypoints, "pipeline": draw_pipeline, "criteria": draw_criteria}
+DRAWINGS = {
+    "keypoints": draw_keypoints,
+    "pipeline": draw_pipeline,
+    "criteria": draw_criteria,
+    "results": draw_results,
+}
 
 
 def main(argv: Sequence[str] | None = None) -> None:
