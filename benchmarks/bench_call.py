@@ -25,7 +25,7 @@ from untrained import FINGERS, add_form_option, untrained
 
 from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.people.readers import read_recording
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
@@ -131,7 +131,7 @@ class Published:
 
 def dex_retargeting(description, hands: np.ndarray) -> dict[str, Callable[[], object]]:
     """Returns the package's optimisers on hands (T, 21, 3); none if it is not installed."""
-    hand, functions = HandModel(description), {}
+    hand, functions = Hand(description), {}
     for name, kind in TYPES.items():
         ours = METHODS[name].fit(hand)
         try:

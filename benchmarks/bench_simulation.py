@@ -34,7 +34,7 @@ from side_by_side import parse, write_json
 from geort_drake.console import console, run_main
 from geort_drake.hands.assembly import remove_visuals
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.play import synthesize_play
@@ -152,8 +152,8 @@ class Maker:
         self._object = object_name
         scenario, play = _scenario(object_name), synthesize_play(seed=0)
         description = load_hand(scenario.hand)
-        path = retargeter or cached_map(HandModel(description), play)
-        self._retarget = load_retargeter(path, HandModel(description))
+        path = retargeter or cached_map(Hand(description), play)
+        self._retarget = load_retargeter(path, Hand(description))
         self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plans(2)[0]
 
     def __call__(

@@ -24,7 +24,7 @@ from side_by_side import parse, parser, write_json
 
 from geort_drake.console import console, run_main
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.people.readers import read_recording
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         else synthesize_play(seed=0)
     )
     torch.set_num_threads(1)
-    hand = HandModel(load_hand(HAND))
+    hand = Hand(load_hand(HAND))
     p_HF = recording.fingertips(hand.description.human_keypoints)
     batch = public_batch(p_HF)
     batch()

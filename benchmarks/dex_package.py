@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.retargeting import online
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
@@ -15,7 +15,7 @@ EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
 TYPES = {"anyteleop": "vector", "dexpilot": "dexpilot"}
 
 
-def make_dex_retargeter(name: str, hand: HandModel, huber_delta: float) -> Any:
+def make_dex_retargeter(name: str, hand: Hand, huber_delta: float) -> Any:
     """Returns the package's counterpart of our method `name`, for the same hand.
 
     Raises:

@@ -191,11 +191,11 @@ def objects_table() -> str:
 
 def hands_table() -> str:
     """A Markdown table of the shipped hands."""
-    from geort_drake.hands.model import HandModel
+    from geort_drake.hands.hand import Hand
 
     rows = ["| name | joints | mass | tip radius | stiffness | torque limit |", "|---|---|---|---|---|---|"]
     for path in sorted((ROOT / "models" / "hands").glob("*.yaml")):
-        hand = HandModel(path.stem)
+        hand = Hand(path.stem)
         motor = hand.plant.get_joint_actuator(hand.plant.GetJointActuatorIndices()[0])
         mass = hand.plant.CalcTotalMass(hand.plant.CreateDefaultContext())
         rows.append(

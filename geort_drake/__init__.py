@@ -11,7 +11,7 @@ People:
     synthesize_play: makes a synthetic recording of a hand at play.
 Robot hands:
     load_hand: loads a hand's description by name or file.
-    HandModel: a hand's kinematics, geometry and limits in Drake.
+    Hand: a hand's kinematics, geometry and limits in Drake.
     add_hand_model: adds a hand to a plant.
 Systems for Drake diagrams:
     RetargetingSystem: keypoints to safe joint targets.
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from geort_drake.hands.assembly import add_hand_model as add_hand_model
     from geort_drake.hands.description import load_hand as load_hand
     from geort_drake.hands.hand import Hand as Hand
-    from geort_drake.hands.model import HandModel as HandModel
     from geort_drake.metrics.metrics import evaluate as evaluate
     from geort_drake.people.readers import read_recording as read_recording
     from geort_drake.people.recording import Recording as Recording
@@ -68,7 +67,6 @@ _MODULES = {
     "ActionCorrection": "systems.action_correction",
     "GloveReplay": "systems.glove_replay",
     "Hand": "hands.hand",
-    "HandModel": "hands.model",
     "Recording": "people.recording",
     "Retargeter": "retargeting.base",
     "RetargetingSystem": "systems.retargeting_system",

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 
 
 class AffineMap:
@@ -28,7 +28,7 @@ class AffineMap:
 
     def __init__(
         self,
-        hand: HandModel,
+        hand: Hand,
         p_HF_rest: np.ndarray,
         gain: float = 1.0,
         R_BH: np.ndarray | None = None,

@@ -44,7 +44,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from affine_map import AffineMap
 
     from geort_drake.hands.description import load_hand
-    from geort_drake.hands.model import HandModel
+    from geort_drake.hands.hand import Hand
     from geort_drake.people.synthetic.hand import HumanHand
     from geort_drake.people.synthetic.play import synthesize_play
     from geort_drake.simulation.free_play import keep_reached, seen_fingertips
@@ -57,7 +57,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     scenario = copy.deepcopy(load_scenario(text=scenario_text))
     scenario.object.name, scenario.random_seed = object_name, seed
     description = load_hand(scenario.hand)
-    hand = HandModel(description)
+    hand = Hand(description)
     play = synthesize_play(seed=0, duration_s=60)
     # Maps the centre of the person's fingertip positions to the centre of the robot's.
     rest = play.fingertips(description.human_keypoints).mean(axis=0)

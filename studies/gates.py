@@ -25,7 +25,7 @@ from scipy.stats import permutation_test
 from geort_drake.console import run_main
 from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.methods import resolve
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
@@ -99,9 +99,9 @@ class WorsenedMap:
 
 
 @functools.cache
-def setting(task_name: str, hand_name: str) -> tuple[HandModel, Recording, HumanHand, list]:
+def setting(task_name: str, hand_name: str) -> tuple[Hand, Recording, HumanHand, list]:
     """Returns the robot hand, the person's play and hand, and the plans for the task."""
-    hand, task = HandModel(hand_name), find_task(task_name)
+    hand, task = Hand(hand_name), find_task(task_name)
     recording = synthesize_play(seed=0, side=hand.description.side)
     plans = task.plans(load_scenario(task=task.name, hand=hand_name), hand.description)
     return hand, recording, HumanHand.fit(recording), plans

@@ -124,7 +124,7 @@ def light_desk(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def allegro():
-    """The right Allegro hand, a `HandModel`."""
+    """The right Allegro hand, a `Hand`."""
     return _hand("allegro_right")
 
 
@@ -149,13 +149,13 @@ def allegro_copy(tmp_path):
 
 @pytest.fixture(scope="session")
 def allegro_left():
-    """The left Allegro hand, a `HandModel`."""
+    """The left Allegro hand, a `Hand`."""
     return _hand("allegro_left")
 
 
 @pytest.fixture(scope="session")
 def leap():
-    """The right LEAP hand, a `HandModel`."""
+    """The right LEAP hand, a `Hand`."""
     return _hand("leap_right")
 
 
@@ -170,6 +170,6 @@ def panda():
 
 
 def _hand(name: str):
-    from geort_drake.hands.model import HandModel
+    from geort_drake.hands.hand import Hand
 
-    return HandModel(name)
+    return Hand(name)

@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
-from geort_drake import HandModel, Recording, load_scenario, run_trial, synthesize_play
+from geort_drake import Hand, Recording, load_scenario, run_trial, synthesize_play
 from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting import METHODS
@@ -30,9 +30,9 @@ TOO_SHORT = "{timeout: 0.3}"
 
 
 @cache
-def allegro() -> HandModel:
+def allegro() -> Hand:
     """The robot hand of the shipped scenario."""
-    return HandModel("allegro_right")
+    return Hand("allegro_right")
 
 
 @cache
@@ -47,7 +47,7 @@ def person_who_plays() -> HumanHand:
     return HumanHand.fit(play())
 
 
-def centred_map(hand: HandModel | None = None) -> AffineIK:
+def centred_map(hand: Hand | None = None) -> AffineIK:
     """The affine map of each fingertip with a known gain, for a robot hand, by default the Allegro."""
     hand = hand or allegro()
     retarget = AffineIK(canonical_kinematics(hand), play().fingertips(hand.description.human_keypoints))
@@ -94,7 +94,7 @@ def scenario_with(object_name: str = "cylinder", text: str = "{}") -> Scenario:
 class Constant:
     """A retargeter that answers every hand with joint positions q, by default the starting ones."""
 
-    def __init__(self, hand: HandModel | None = None, q: np.ndarray | None = None):
+    def __init__(self, hand: Hand | None = None, q: np.ndarray | None = None):
         hand = hand or allegro()
         self.joint_names = list(hand.joint_names)
         self.q = hand.default_position if q is None else q

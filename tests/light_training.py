@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from geort_drake import HandModel, Recording, train_map
+from geort_drake import Hand, Recording, train_map
 
 _TINY = {"steps": 5, "hidden": 8}
 LIGHT = {
@@ -13,7 +13,7 @@ LIGHT = {
 
 
 def train_lightly(
-    hand: str | os.PathLike | HandModel,
+    hand: str | os.PathLike | Hand,
     recording: Recording,
     output: Path,
     method: str = "telekinesis",
@@ -21,7 +21,7 @@ def train_lightly(
     **settings,
 ) -> Path:
     """Writes a map after a training of a few steps."""
-    hand = hand if isinstance(hand, HandModel) else HandModel(hand)
+    hand = hand if isinstance(hand, Hand) else Hand(hand)
     settings = LIGHT[method] | settings
     train_map(hand, recording, method, seed, settings=settings, show_progress=False).save(output)
     return output

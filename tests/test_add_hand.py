@@ -13,7 +13,7 @@ from pydrake.geometry import Role
 from pydrake.math import RollPitchYaw
 
 from geort_drake import (
-    HandModel,
+    Hand,
     evaluate,
     load_hand,
     load_scenario,
@@ -83,7 +83,7 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
 
     Shapes lie where Drake has them; and the clearance's gradient is that of its gaps.
     """
-    coupled = HandModel(propose(write_hand(tmp_path, HandSpec(4, kind))).description)
+    coupled = Hand(propose(write_hand(tmp_path, HandSpec(4, kind))).description)
     q = rng.uniform(coupled.lower, coupled.upper, (40, len(coupled.joint_names)))
     p_BF, kinematics = coupled.fingertips(q), coupled.kinematics()
     np.testing.assert_allclose(fingertips(kinematics, torch.tensor(q)), p_BF, atol=1e-12)
@@ -128,7 +128,7 @@ def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
     assert b"tips/index" in (tmp_path / "mine.rrd").read_bytes()
     play = synthesize_play(seed=1, duration_s=60.0, rate_hz=30.0, side=spec.side)
     settings = LIGHT["geort"] | {"steps": 3}
-    retarget = train_map(hand := HandModel(file), play, show_progress=False, settings=settings)
+    retarget = train_map(hand := Hand(file), play, show_progress=False, settings=settings)
     q = retarget(synthesize_play(seed=2, duration_s=1.0, rate_hz=30.0).p_HK.astype(float))
     assert ((hand.lower <= q) & (q <= hand.upper)).all()
     figures = evaluate(retarget, hand, play)
@@ -181,7 +181,7 @@ def test_faults_are_named(fault, tmp_path):
     if change:
         change(description)
     write_description(description, tmp_path / "hand.yaml")
-    found = "\n".join(examine(HandModel(tmp_path / "hand.yaml")))
+    found = "\n".join(examine(Hand(tmp_path / "hand.yaml")))
     assert finding in found and bool(finding) == bool(found)
 
 
@@ -190,10 +190,10 @@ def test_permanent_contacts_are_ignored(tmp_path):
     thick = {'<box size="0.02 0.066 0.08"/>': '<box size="0.06 0.066 0.125"/>'}
     description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=thick)).description
     assert ["index_l1", "palm"] in description.ignored_collisions
-    hand = HandModel(description)
+    hand = Hand(description)
     assert not hand.collides(hand.default_position)
     description.ignored_collisions = []
-    assert HandModel(description).collides(hand.default_position)
+    assert Hand(description).collides(hand.default_position)
 
 
 def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices(tmp_path):
@@ -204,7 +204,7 @@ def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices
     assert "one_j2" not in proposal.description.joint_names
     notes = "\n".join(proposal.notes)
     assert "each moves 2 fingers at once: 'one_j2'" in notes and "names identify only the thumb" in notes
-    HandModel(proposal.description).kinematics()
+    Hand(proposal.description).kinematics()
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
     """A replayed glove moves a described hand in the shipped scenario; followers follow without motors."""
     model = write_hand(tmp_path, HandSpec(4, kind))
     write_description(propose(model).description, tmp_path / "mine.yaml")
-    hand = HandModel(tmp_path / "mine.yaml")
+    hand = Hand(tmp_path / "mine.yaml")
     retarget = Constant(hand, 0.5 * (hand.lower + hand.upper))
     scenario = load_scenario(hand=str(tmp_path / "mine.yaml"))
     parts = make_trial_diagram(scenario, retarget, resting_glove(0.4))

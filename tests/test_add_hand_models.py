@@ -14,7 +14,7 @@ from pydrake.geometry import Role
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import HandModel, load_hand
+from geort_drake import Hand, load_hand
 from geort_drake.cli import run_command
 from geort_drake.errors import HandError, OutputError, UnknownNameError
 from geort_drake.hands.assembly import detach_from_world, parse_model
@@ -47,7 +47,7 @@ def drawn_alone(folder, kind: str):
     return write_hand(folder, HandSpec(3, kind, mimic=False), changes=changes)
 
 
-def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
+def reach(hand: Hand, link: str, role: Role) -> np.ndarray:
     """(2, 3) bounds, along a link's axes, of its geometry and that of links welded to it, m."""
     inspector, points = hand.scene_graph.model_inspector(), []
     owner = hand.plant.GetBodyByName(link)
@@ -63,12 +63,12 @@ def reach(hand: HandModel, link: str, role: Role) -> np.ndarray:
 def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
     """Collision geometry is as large as the visual geometry; the checks then find no fault."""
     model = drawn_alone(tmp_path, kind)
-    assert "--hulls" in examine(HandModel(propose(model).description))[0]
+    assert "--hulls" in examine(Hand(propose(model).description))[0]
     description = propose(model, hulls=True).description
     drawn = ["palm", *(f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4))]
     bare = {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"}
     assert set(description.collide_as_drawn) == set(drawn) - bare | ({"nail"} if kind in PARTS else set())
-    hand = HandModel(description)
+    hand = Hand(description)
     for link in description.collide_as_drawn:
         found, wanted = (reach(hand, link, role) for role in (Role.kProximity, Role.kIllustration))
         np.testing.assert_allclose(found, wanted, atol=1e-6)
@@ -144,7 +144,7 @@ def test_the_command_describes_a_copy(tmp_path):
     with pytest.raises(OutputError, match="is no earlier copy of hand"):
         run_command("hand add", [str(model), "--output", str(output), "--overwrite"])
     assert model.read_bytes() == before
-    HandModel(output)
+    Hand(output)
 
 
 @pytest.mark.parametrize(("kind", "name"), [*(("urdf", name) for name in MESHES), ("xml", "palm.stl")])
@@ -157,7 +157,7 @@ def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
         assert [note[:25] for note in notes] == ["the .glb meshes have z up"] * (name == "z_up.glb")
         model = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
         assert unreadable_meshes(model) == []
-    hand = HandModel(propose(model).description)
+    hand = Hand(propose(model).description)
     assert len(hand.plant.GetCollisionGeometriesForBody(hand.plant.GetBodyByName("palm"))) == 1
     bounds = [CORNERS.min(axis=0), CORNERS.max(axis=0)]
     np.testing.assert_allclose(reach(hand, "palm", Role.kProximity), bounds, atol=1e-6)
@@ -171,9 +171,9 @@ def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
     description = proposal.description
     assert description.ignored_collisions == [["middle_l1", "palm"]]
     assert "overlapping shapes are ignored: 'middle_l1' and 'palm'" in "\n".join(proposal.notes)
-    assert not any("touch in" in fault for fault in examine(HandModel(description)))
+    assert not any("touch in" in fault for fault in examine(Hand(description)))
     description.ignored_collisions = []
-    assert any("touch in" in fault for fault in examine(HandModel(description)))
+    assert any("touch in" in fault for fault in examine(Hand(description)))
 
 
 def test_training_and_guard_see_the_hulls_that_drake_sees(tmp_path):
@@ -182,7 +182,7 @@ def test_training_and_guard_see_the_hulls_that_drake_sees(tmp_path):
     side = ((-0.022, 0), (-0.022, 0.08), (0.07, 0))
     wedge = np.array([[x, y, z] for y in (-0.033, 0.033) for x, z in side])
     trimesh.convex.convex_hull(wedge).export(tmp_path / "parts" / "palm.stl")
-    hand = HandModel(propose(convert_model(model, tmp_path / "copy", [])).description)
+    hand = Hand(propose(convert_model(model, tmp_path / "copy", [])).description)
     shapes, q = collision_shapes(hand), hand.sample(500, seed=1)
     collides = hand.collides_beyond_tips(q)
 
@@ -467,4 +467,4 @@ def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
         description = propose(model, palm=f"{side}_palm").description
         assert (description.side, len(description.fingers)) == (side, fingers)
         assert {joint.partition("_")[0] for joint in description.joint_names} == {side}
-        assert "fall freely" in " ".join(examine(HandModel(description)))
+        assert "fall freely" in " ".join(examine(Hand(description)))

@@ -20,7 +20,7 @@ import yaml
 from hand_family import HandSpec, write_hand
 from light_training import train_lightly
 
-from geort_drake import HandModel, synthesize_play
+from geort_drake import Hand, synthesize_play
 from geort_drake.cli import COMMANDS, base, main, parse, run_command
 from geort_drake.cli.base import write_json
 from geort_drake.console import console, exit_code_of, progress_bar, run_main, track, warn
@@ -320,7 +320,7 @@ def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, comm
     monkeypatch.setattr("os.access", lambda _path, _mode: False)
     refused(READERS[command].format("@/good.npy"), "is not a directory that can be written to")
     with pytest.raises(OutputError, match="is not a directory that can be written to"):
-        retargeting_train.cached_map(HandModel("allegro_right"), synthesize_play(0, 1.0))
+        retargeting_train.cached_map(Hand("allegro_right"), synthesize_play(0, 1.0))
 
 
 def test_a_missing_backend_is_refused_before_the_work(refused, monkeypatch):

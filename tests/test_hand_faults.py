@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw
 
-from geort_drake import HandModel
+from geort_drake import Hand
 from geort_drake.cli import run_command
 from geort_drake.errors import HandError
 from geort_drake.hands.description import HandDescription
@@ -138,7 +138,7 @@ def test_the_base_does_not_depend_on_where_spread_joints_lie(side, offset, tmp_p
 @pytest.mark.parametrize("leader", ["mcp", "pip"])
 def test_the_base_does_not_depend_on_which_joint_leads(leader, tmp_path):
     """The side, and the fingers' reach, are the same whether mcp or pip has the motor."""
-    hand = HandModel(propose(write_urdf(tmp_path, leader=leader)).description)
+    hand = Hand(propose(write_urdf(tmp_path, leader=leader)).description)
     assert_upright(hand.description, "left")
     reach = hand.fingertips(np.zeros(len(hand.joint_names)))[1:, 2].max()
     p_BK = hand.kinematics().fingers[1].X_PJ[0, 2, 3]
@@ -162,9 +162,9 @@ def test_the_base_does_not_depend_on_which_joint_leads(leader, tmp_path):
 def test_a_turned_base_is_named(turn, finding, tmp_path):
     """Fingers must point to +z and bend to +x; before the turn there is no such finding."""
     description = propose(write_urdf(tmp_path)).description
-    assert "of the hand base" not in "\n".join(examine(HandModel(description)))
+    assert "of the hand base" not in "\n".join(examine(Hand(description)))
     description.base_pose.rpy_deg = list(map(float, turn))
-    found = "\n".join(examine(HandModel(description)))
+    found = "\n".join(examine(Hand(description)))
     assert re.search(finding, found), found
 
 
@@ -176,7 +176,7 @@ def test_couplings_are_in_deviations_from_references(tmp_path):
         (0.7, 0.1 + 0.7 * 0.35)
     )
     assert_upright(propose(model).description, "right")
-    hand = HandModel(propose(model).description)
+    hand = Hand(propose(model).description)
     m = mujoco.MjModel.from_xml_path(str(model))
     data = mujoco.MjData(m)
     for q in hand.sample(5):
@@ -194,7 +194,7 @@ def test_couplings_are_in_deviations_from_references(tmp_path):
 
 def test_the_world_may_be_the_palm(tmp_path):
     """MuJoCo's conversion of a URDF fuses the base into the world; its geoms are then the palm's."""
-    hand = HandModel(propose(write_mjcf(tmp_path, palm=False)).description)
+    hand = Hand(propose(write_mjcf(tmp_path, palm=False)).description)
     assert_upright(hand.description, "right")
     assert hand.description.base_pose.relative_to == "worldbody"
     assert hand.plant.GetCollisionGeometriesForBody(hand.plant.GetBodyByName("worldbody"))
@@ -246,9 +246,9 @@ def test_unusable_values_are_named(old, new, message, tmp_path):
 
 def test_a_tip_far_from_its_finger_is_found(tmp_path):
     """Collision geometry beside the finger, as of a mesh that was exported in another frame."""
-    assert "the tip of" not in "\n".join(examine(HandModel(propose(write_mjcf(tmp_path)).description)))
+    assert "the tip of" not in "\n".join(examine(Hand(propose(write_mjcf(tmp_path)).description)))
     description = propose(write_mjcf(tmp_path, thumb_geom="-0.05 0.1 -0.05")).description
-    found = "\n".join(examine(HandModel(description)))
+    found = "\n".join(examine(Hand(description)))
     assert "the tip of thumb lies 122 mm from its last joint 'thumb_pip'" in found
     assert "mm beside the visual geometry of 'thumb_2', which joint 'thumb_pip' moves" in found
 
@@ -261,7 +261,7 @@ def test_a_velocity_limit_of_zero_counts_as_unknown(tmp_path):
     model.write_text(head + joint + tail.replace('effort="1" velocity="5"', 'effort="0" velocity="0"', 1))
     proposal = propose(model)
     assert "the velocity limit 0 of joint 'middle_mcp' counts as unknown" in "\n".join(proposal.notes)
-    joint = HandModel(proposal.description).plant.GetJointByName("middle_mcp")
+    joint = Hand(proposal.description).plant.GetJointByName("middle_mcp")
     assert joint.velocity_upper_limit() == np.inf
 
 

@@ -11,7 +11,7 @@ from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import HandModel, load_hand, load_scenario
+from geort_drake import Hand, load_hand, load_scenario
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.collision_shapes import collision_shapes
@@ -24,7 +24,7 @@ from geort_drake.simulation.world import add_scene
 from geort_drake.systems.scene_view import SceneView
 
 
-def _uniform(hand: HandModel, rng, count: int) -> np.ndarray:
+def _uniform(hand: Hand, rng, count: int) -> np.ndarray:
     return rng.uniform(hand.lower, hand.upper, (count, len(hand.joint_names)))
 
 
@@ -60,7 +60,7 @@ def test_bad_descriptions_name_what_is_wrong(allegro_copy, change, message):
     facts, load = allegro_copy
     change(facts)
     with pytest.raises(HandError, match=f"(?s){message}"):
-        HandModel(load()).kinematics()
+        Hand(load()).kinematics()
 
 
 DIGESTS = ["9bb76b37a45136d0", "06a693eef3b0f675", "59d2d7f8cb1425a2"]
@@ -69,7 +69,7 @@ DIGESTS = ["9bb76b37a45136d0", "06a693eef3b0f675", "59d2d7f8cb1425a2"]
 @pytest.mark.parametrize(("name", "digest"), [*zip(SHIPPED_HANDS, DIGESTS, strict=True)])
 def test_shipped_hands_start_free_and_pinch(name, digest):
     """No self-collision at the start; the thumb's tip reaches every other one. Saved checkpoints fit."""
-    hand = HandModel(name)
+    hand = Hand(name)
     assert hand.digest.startswith(digest)
     assert not hand.collides(hand.default_position)
     for number in range(1, len(hand.finger_names)):
@@ -99,7 +99,7 @@ def test_the_allegro_has_the_manufacturers_numbers_and_signs(side):
 
     All spread joints turn about +z. From Wonik's descriptions of the hands.
     """
-    hand = HandModel(f"allegro_{side}")
+    hand = Hand(f"allegro_{side}")
     context = hand.plant.CreateDefaultContext()
     fingers = {joint: finger.name for finger in hand.description.fingers for joint in finger.joints}
     names = ["index", "middle", "ring"] if side == "right" else ["ring", "middle", "index"]
@@ -115,13 +115,13 @@ def test_the_allegro_has_the_manufacturers_numbers_and_signs(side):
 def test_the_mount_is_the_wrist_and_not_part_of_the_hand(allegro_copy):
     """It defines the wrist, is optional, and does not change the digest, as another fingertip does."""
     facts, load = allegro_copy
-    mounted = HandModel(load())
+    mounted = Hand(load())
     np.testing.assert_allclose(mounted.p_BW, [0, 0, -0.095], atol=1e-12)
     del facts["mount"]
-    bare = HandModel(load())
+    bare = Hand(load())
     assert not bare.p_BW.any() and bare.digest == mounted.digest
     facts["fingers"][0]["tip_point"] = [0.0, 0.0, 0.05]
-    assert HandModel(load()).digest != bare.digest
+    assert Hand(load()).digest != bare.digest
 
 
 def test_kinematics_survive_offset_bases_welded_links_and_held_joints(allegro_copy, rng, tmp_path):
@@ -142,10 +142,10 @@ def test_kinematics_survive_offset_bases_welded_links_and_held_joints(allegro_co
     sdf.write_text(sdf.read_text(encoding="utf-8").replace("  </model>", extra), encoding="utf-8")
     facts["base_frame"] = "tilted_base"
     facts["fingers"][1].update(tip_link="nail", tip_point=[0.004, -0.003, 0.002])
-    whole = HandModel(load())
+    whole = Hand(load())
     facts["fingers"][1]["joints"].remove("joint_0")
     facts["default_positions"]["joint_0"] = 0.2
-    hand = HandModel(load())
+    hand = Hand(load())
     q = _uniform(hand, rng, 50)
     q_whole = np.insert(q, whole.joint_names.index("joint_0"), 0.2, axis=1)
     for model, positions in ((hand, q), (whole, q_whole), (whole, _uniform(whole, rng, 50))):
@@ -157,10 +157,10 @@ def test_kinematics_survive_offset_bases_welded_links_and_held_joints(allegro_co
 def test_a_leader_does_the_work_of_the_servos_of_its_followers():
     """A follower that turns half as far adds a quarter of its gains, and half of its effort."""
     hand = load_hand("allegro_right")
-    before = HandModel(hand).plant.GetJointActuatorByName("joint_2")
+    before = Hand(hand).plant.GetJointActuatorByName("joint_2")
     hand.fingers[1].joints.remove("joint_3")
     hand.couplings.append(CouplingDescription("joint_3", "joint_2", -0.5))
-    after = HandModel(hand).plant.GetJointActuatorByName("joint_2")
+    after = Hand(hand).plant.GetJointActuatorByName("joint_2")
     given, gains = before.get_controller_gains(), after.get_controller_gains()
     assert (gains.p, gains.d) == pytest.approx((1.25 * given.p, 1.25 * given.d))
     assert after.effort_limit() == pytest.approx(1.5 * before.effort_limit())
@@ -194,13 +194,13 @@ def test_the_digest_covers_meshes_and_included_files(kind, tmp_path):
         outer.write_text(text[:begin] + '<include file="parts/inner.xml"/>' + text[end:])
         change = ('kp="1"', 'kp="2"')
     write_description(propose(outer).description, folder / "hand.yaml")
-    digest = HandModel(folder / "hand.yaml").digest
+    digest = Hand(folder / "hand.yaml").digest
     (parts / "other.obj").write_text("o unused")
     shutil.copytree(folder, tmp_path / "elsewhere")
-    assert HandModel(tmp_path / "elsewhere" / "hand.yaml").digest == digest
+    assert Hand(tmp_path / "elsewhere" / "hand.yaml").digest == digest
     assert change[0] in inner.read_text()
     inner.write_text(inner.read_text().replace(*change))
-    assert HandModel(folder / "hand.yaml").digest != digest
+    assert Hand(folder / "hand.yaml").digest != digest
 
 
 @pytest.fixture

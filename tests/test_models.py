@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
 
-from geort_drake import HandModel
+from geort_drake import Hand
 from geort_drake.resources import models_dir
 from geort_drake.simulation.object_shape import object_shape
 
@@ -82,7 +82,7 @@ def test_a_hand_collides_with_itself_as_often_as_its_meshes_do(name, count, rate
 @pytest.mark.parametrize("name", SHIPPED_HANDS)
 def test_hand_actuators_reach_and_hold_their_position(name):
     """All sixteen joints have PD gains and a torque limit, and come within 0.02 rad of a target in 1.5 s."""
-    scene, model = Scene(SDF / f"{name}.sdf", welded=("base_link",)), HandModel(name)
+    scene, model = Scene(SDF / f"{name}.sdf", welded=("base_link",)), Hand(name)
     plant, hand = scene.plant, scene.plant.GetModelInstanceByName(name)
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
     order = [actuator.joint().name() for actuator in actuators]

@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import HandModel, load_hand, load_retargeter, load_scenario, make_trial_diagram, run_trial
+from geort_drake import Hand, load_hand, load_retargeter, load_scenario, make_trial_diagram, run_trial
 from geort_drake.errors import HandError
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
@@ -68,7 +68,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
     still = "position_range: 0, yaw_range: 0, mass_range: 0"
     for name, aim in (("allegro_right", reach_goal()), ("allegro_left", reach_goal().mirrored())):
         scenario = load_scenario(text=f"{{hand: {name}, object: {{{still}}}}}")
-        model = HandModel(name)
+        model = Hand(name)
         parts = make_trial_diagram(scenario, centred_map(model), (person_who_plays(), aim))
         simulator = started(parts)
         root = simulator.get_context()
@@ -93,7 +93,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
 def test_leap_grasps():
     """The simulated person lifts the object with the planned contacts and the hand's own gains."""
     text = "{object: {name: cube}, task_settings: {hold_time: 0.5}, timeout: 15.0}"
-    scenario, hand = load_scenario(hand="leap_right", text=text), HandModel("leap_right")
+    scenario, hand = load_scenario(hand="leap_right", text=text), Hand("leap_right")
     person, retarget = person_who_plays(), centred_map(hand)
     plans = GraspPlanner(scenario, hand.description).plans(2)
     goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from geort_drake import HandModel
+from geort_drake import Hand
 from geort_drake.hands.collision_shapes import collision_shapes
 from geort_drake.retargeting.collision import CollisionGaps
 
@@ -12,7 +12,7 @@ from geort_drake.retargeting.collision import CollisionGaps
 @pytest.mark.parametrize("name", ["allegro_right", "leap_right"])
 def test_gaps_agree_with_drake(name):
     """The sign of the least gap is Drake's answer, except where a cylinder's rim decides."""
-    hand = HandModel(name)
+    hand = Hand(name)
     q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (1500, 16))
     shapes = collision_shapes(hand)
     gaps = CollisionGaps(hand.kinematics(), shapes)

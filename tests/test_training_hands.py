@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from light_training import LIGHT, train_lightly
 
-from geort_drake import HandModel, Recording, evaluate, load_retargeter, train_map
+from geort_drake import Hand, Recording, evaluate, load_retargeter, train_map
 from geort_drake.cli import run_command
 from geort_drake.errors import RecordingError, UnknownNameError
 from geort_drake.metrics.map_figures import motion_preservation_track
@@ -89,7 +89,7 @@ def test_a_left_hand_learns_what_the_right_one_learns(tmp_path, play, allegro):
     class Mirrored:
         """The right hand seen in a mirror."""
 
-        description = HandModel("allegro_left").description
+        description = Hand("allegro_left").description
         finger_names, joint_names, digest = allegro.finger_names, allegro.joint_names, "mirrored"
         sample, collides_beyond_tips = allegro.sample, allegro.collides_beyond_tips
 

@@ -77,12 +77,12 @@ def variance(values: np.ndarray, clusters: Sequence[np.ndarray]) -> tuple[float,
         first, second = ways[:2]
         shape = first.max() + 1, second.max() + 1
         df = float((shape[0] - 1) * (shape[1] - 1))
-        counts, sums = np.zeros(shape), np.zeros(shape)
+        counts, totals = np.zeros(shape), np.zeros(shape)
         np.add.at(counts, (first, second), 1.0)
-        np.add.at(sums, (first, second), deviations)
-        rows = sums.sum(1, keepdims=True) / counts.sum(1, keepdims=True)
-        columns = sums.sum(0, keepdims=True) / counts.sum(0, keepdims=True)
-        interaction = (df + sum(shape) - 1) / df * np.sum((sums - counts * (rows + columns)) ** 2) / n**2
+        np.add.at(totals, (first, second), deviations)
+        rows = totals.sum(1, keepdims=True) / counts.sum(1, keepdims=True)
+        columns = totals.sum(0, keepdims=True) / counts.sum(0, keepdims=True)
+        interaction = (df + sum(shape) - 1) / df * np.sum((totals - counts * (rows + columns)) ** 2) / n**2
         # A difference of estimates may fall below what a single way of clustering gives.
         largest = max(terms)
         if total - interaction > largest[0]:

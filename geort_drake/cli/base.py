@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 STDOUT = Path("-")
 Side = Literal["left", "right"]
 _HANDS = f"robot hand: one of {', '.join(hand_names())}, or a description file"
-Hand = Annotated[str, arg(metavar="NAME", help=_HANDS)]
+HandName = Annotated[str, arg(metavar="NAME", help=_HANDS)]
 Json = Annotated[
     Path | None, arg(metavar="FILE", help="also write the results as JSON to a file; - writes them to stdout")
 ]

@@ -131,7 +131,7 @@ class Benchmark(Command, ScenarioOptions):
 
         Checks the whole request before anything is computed or written.
         """
-        from geort_drake import HandModel
+        from geort_drake import Hand
         from geort_drake.benchmark.run import Benchmark, Settings
         from geort_drake.benchmark.workers import join_cluster
         from geort_drake.hands.description import load_hand
@@ -148,7 +148,7 @@ class Benchmark(Command, ScenarioOptions):
         for name in objects:
             if name not in known and not self.quick:
                 raise UnknownNameError("object", name, known)
-        names = names_of(methods, HandModel(first.hand))
+        names = names_of(methods, Hand(first.hand))
         if self.backend == "ray":
             join_cluster(self._jobs)
         recording, operator = (
@@ -294,13 +294,13 @@ def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[TrialBenchm
     Raises:
         BenchmarkError: the folder contains no benchmark.
     """
-    from geort_drake import HandModel
+    from geort_drake import Hand
     from geort_drake.benchmark.run import Benchmark, read_scenarios, read_settings
     from geort_drake.methods import names_of
 
     settings, scenarios = read_settings(folder), read_scenarios(folder)
     known = {name: entry["source"] for name, entry in settings.methods.items()}
-    hand = HandModel(next(iter(scenarios.values())).hand)
+    hand = Hand(next(iter(scenarios.values())).hand)
     names = {name: known[name] for name in methods if name in known}
     names |= names_of([name for name in methods if name not in known], hand)
     return Benchmark(folder, settings, scenarios, names), list(names)

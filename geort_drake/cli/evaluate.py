@@ -9,7 +9,7 @@ from tyro.conf import arg
 from geort_drake.cli.base import (
     STDOUT,
     Command,
-    Hand,
+    HandName,
     Json,
     finish,
     methods_epilog,
@@ -46,7 +46,7 @@ class Evaluate(Command):
 
     recording: Annotated[Path, arg(metavar="FILE")]
     """recording to train on"""
-    hand: Hand = "allegro_right"
+    hand: HandName = "allegro_right"
     held_out: Annotated[int | None, arg(metavar="K")] = None
     """also score on K held-out blocks, for example 5"""
     score_on: Annotated[tuple[Path, ...], arg(metavar="FILE ...")] = ()
@@ -62,7 +62,7 @@ class Evaluate(Command):
     epilog = staticmethod(methods_epilog)
 
     def run(self) -> int:
-        from geort_drake import HandModel, load_hand, read_recording
+        from geort_drake import Hand, load_hand, read_recording
         from geort_drake.console import console, progress_bar, warn
         from geort_drake.methods import names_of
         from geort_drake.metrics.compare import Comparison, Row, failures, report, tables
@@ -72,7 +72,7 @@ class Evaluate(Command):
         require(all(seed >= 0 for seed in self.seeds), "--seeds", "whole numbers from 0", self.seeds)
         require(self.frames is None or self.frames >= 10, "--frames", "at least 10", self.frames)
         description = load_hand(self.hand)
-        hand = HandModel(description)
+        hand = Hand(description)
         methods = list(dict.fromkeys(self.methods or methods_for(self.hand)))
         names_of(methods, hand=hand)  # refuses unusable ones before anything is trained
         seeds = list(dict.fromkeys(self.seeds))

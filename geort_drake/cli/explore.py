@@ -7,7 +7,7 @@ from tyro.conf import arg
 
 from geort_drake.cli.base import (
     Command,
-    Hand,
+    HandName,
     finish,
     methods_epilog,
     options,
@@ -35,7 +35,7 @@ class Explore(Command):
     """methods listed below, maps or Python files"""
     output: Annotated[Path, arg(metavar="FILE")] = Path("explore.rrd")
     """Rerun recording to write (.rrd)"""
-    hand: Hand = "allegro_right"
+    hand: HandName = "allegro_right"
     start: Annotated[float | None, arg(metavar="S")] = None
     """start time, s (default: the part with the most pinches)"""
     duration: Annotated[float, arg(metavar="S")] = 20.0
@@ -46,7 +46,7 @@ class Explore(Command):
     epilog = staticmethod(methods_epilog)
 
     def run(self) -> int:
-        from geort_drake import HandModel, load_hand
+        from geort_drake import Hand, load_hand
         from geort_drake.console import track
         from geort_drake.methods import names_of, resolve
         from geort_drake.metrics.exploration import excerpt, response
@@ -58,7 +58,7 @@ class Explore(Command):
         require(0.1 <= self.duration <= 600, "--duration", "from 0.1 to 600", self.duration)
         require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         description = load_hand(self.hand)
-        hand = HandModel(description)
+        hand = Hand(description)
         names = names_of(self.methods, hand=hand)
         recording = training_recording(self.recording, description.side, self.seed)
         hands = excerpt(recording, duration_s=self.duration, start_s=self.start)

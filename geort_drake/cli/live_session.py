@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.live.glove_stream import NOTABLE_DRIFT
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import SessionReport
@@ -28,12 +28,12 @@ def checkpoint_of(command: "Live", description: HandDescription) -> Path:
     say(f"no universal map is shipped for {hand}; using a map trained on synthetic play")
     from geort_drake.retargeting.train import cached_map  # loads PyTorch
 
-    return cached_map(HandModel(description), synthesize_play(seed=0, side=description.side))
+    return cached_map(Hand(description), synthesize_play(seed=0, side=description.side))
 
 
 def load(path: Path, description: HandDescription) -> Retargeter:
     """Loads a map for a hand."""
-    return load_retargeter(path, HandModel(description))
+    return load_retargeter(path, Hand(description))
 
 
 def print_keys(keys: str) -> None:

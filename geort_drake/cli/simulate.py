@@ -82,7 +82,7 @@ class Grasp(Command, ScenarioOptions):
         return self.load_scenario()
 
     def run(self) -> int:
-        from geort_drake import HandModel, __version__, load_hand, run_trial
+        from geort_drake import Hand, __version__, load_hand, run_trial
         from geort_drake.benchmark.trials import plan
         from geort_drake.console import print_table, progress_bar, say, track, warn
         from geort_drake.export.episode import RESULTS, SCENARIO
@@ -104,7 +104,7 @@ class Grasp(Command, ScenarioOptions):
         require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         base, replay = self._request()
         description = load_hand(base.hand)
-        hand = HandModel(description)
+        hand = Hand(description)
         has_map = "universal" in methods_for(base.hand)
         method = self.retargeter or ("universal" if has_map else DEFAULT_METHOD)
         names_of([method], hand=hand)  # refuses an unusable one

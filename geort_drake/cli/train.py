@@ -11,7 +11,7 @@ from tyro.conf import UseAppendAction, arg
 
 from geort_drake.cli.base import (
     Command,
-    Hand,
+    HandName,
     Json,
     finish,
     methods_epilog,
@@ -24,7 +24,7 @@ from geort_drake.cli.base import (
 from geort_drake.cli.simulate import try_out
 
 if TYPE_CHECKING:
-    from geort_drake.hands.hand import Hand as HandModel
+    from geort_drake.hands.hand import Hand
     from geort_drake.retargeting.universal.person import UniversalRetargeter
 
 
@@ -48,7 +48,7 @@ class Train(Command):
 
     output: Annotated[Path, arg(metavar="FILE")]
     """map to write (.safetensors)"""
-    hand: Hand = "allegro_right"
+    hand: HandName = "allegro_right"
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of a human hand (default: five minutes of synthetic play)"""
     method: Annotated[str, arg(metavar="NAME")] = "geort"
@@ -74,7 +74,7 @@ class Train(Command):
         return methods_epilog(trained=True)
 
     def run(self) -> int:
-        from geort_drake import HandModel, evaluate, load_hand, train_map
+        from geort_drake import Hand, evaluate, load_hand, train_map
         from geort_drake.console import print_table, progress_bar, warn
         from geort_drake.retargeting.train import training_recording
 
@@ -83,7 +83,7 @@ class Train(Command):
         require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         if self.universal:
             return self._train_universal()
-        hand, settings = HandModel(load_hand(self.hand)), self._settings()
+        hand, settings = Hand(load_hand(self.hand)), self._settings()
         recording = training_recording(self.recording, hand.description.side, self.seed)
         started = time.perf_counter()
         with warnings.catch_warnings():
@@ -118,7 +118,7 @@ class Train(Command):
         return 0
 
     def _train_universal(self) -> int:
-        from geort_drake import HandModel, load_hand, load_retargeter
+        from geort_drake import Hand, load_hand, load_retargeter
         from geort_drake.console import print_table, progress_bar
         from geort_drake.errors import GeortError
         from geort_drake.hands.collision_shapes import canonical_shapes
@@ -130,7 +130,7 @@ class Train(Command):
 
         if self.recording is not None:
             raise GeortError("--universal trains on synthetic people; --recording has no effect with it")
-        hand, output = HandModel(load_hand(self.hand)), self.output
+        hand, output = Hand(load_hand(self.hand)), self.output
         changes = parse_settings(list(self.set), UniversalSettings(), "the universal map")
         if self.steps is not None:
             changes["steps"] = self.steps
@@ -174,7 +174,7 @@ class Train(Command):
         return settings
 
 
-def _save_universal(retargeter: "UniversalRetargeter", hand: "HandModel", path: Path) -> Path:
+def _save_universal(retargeter: "UniversalRetargeter", hand: "Hand", path: Path) -> Path:
     from geort_drake.versions import git_state, versions
 
     retargeter.robot_hands = (hand.description.name,)
@@ -184,9 +184,9 @@ def _save_universal(retargeter: "UniversalRetargeter", hand: "HandModel", path: 
     return path
 
 
-def _other_side(hand: "HandModel") -> "HandModel | None":
+def _other_side(hand: "Hand") -> "Hand | None":
     """Returns the known hand of the same name with the other side; None if there is none."""
-    from geort_drake import HandModel
+    from geort_drake import Hand
     from geort_drake.errors import UnknownNameError
 
     side, name = hand.description.side, hand.description.name
@@ -194,7 +194,7 @@ def _other_side(hand: "HandModel") -> "HandModel | None":
     if side not in name:
         return None
     try:
-        model = HandModel(name.replace(side, other))
+        model = Hand(name.replace(side, other))
     except UnknownNameError:
         return None
     return model if model.description.side == other else None

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from geort_drake.colours import FINGER_COLOURS, SKIN, finger_colors, rgb
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.people.coverage import tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording, newest
@@ -69,7 +69,7 @@ def write_hand(
             writer.states(entity_path(key), codes, labels)
 
 
-def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
+def write_joint_sweep(hand: Hand, path: str | os.PathLike) -> None:
     """Writes a robot hand that moves each joint through its range, with its fingertips and base frame.
 
     The base's axes are x red, y green, z blue.
@@ -90,7 +90,7 @@ def write_joint_sweep(hand: HandModel, path: str | os.PathLike) -> None:
         _write_marks(writer, hand, tips)
 
 
-def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
+def _write_marks(writer: Writer, hand: Hand, tips: np.ndarray) -> None:
     for number, (axis, color) in enumerate(_AXES.items()):
         line = [[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]]
         writer.static(f"/world/hand_base/{axis}", LineStrips3D(line, radii=0.002, colors=[color]))
@@ -101,7 +101,7 @@ def _write_marks(writer: Writer, hand: HandModel, tips: np.ndarray) -> None:
         writer.points(f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, translucent, SOLID)
 
 
-def _sweep(hand: HandModel) -> np.ndarray:
+def _sweep(hand: Hand) -> np.ndarray:
     """Makes postures (N, n), rad: each joint moves from the start to its lower and upper limit and back."""
     start = hand.default_position
     postures = [start[None]]

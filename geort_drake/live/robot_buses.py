@@ -91,7 +91,8 @@ class _Zmq(Generic[Message]):
     arm_is_required = False
 
     def __init__(self, sender: ZmqSender, receiver: ZmqReceiver, decode: Callable[[bytes], Message]):
-        self._sender, self._receiver, self._decode = sender, receiver, decode
+        self._sender, self._receiver = sender, receiver
+        self._decode: Callable[[bytes], Message] = decode
         self.refused, self.last_refusal = 0, ""
 
     def send(self, message: JointState | JointTargets) -> None:

@@ -48,6 +48,7 @@ class SenderClock:
         self._arrived, self._stamp = math.nan, -math.inf
         self._blocks: deque[_Block] = deque(maxlen=_BLOCKS)
         self._usual = 0
+        self._fastest, self._frames = math.inf, 0
         self._begin_block(math.nan)
 
     def lateness(self, arrived: float, stamp: float, frames: int = 1) -> float:

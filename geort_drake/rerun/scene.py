@@ -25,7 +25,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
 
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.rerun.meshes import draw_mesh
 from geort_drake.rerun.writer import SOLID, WORLD, Writer, entity_path, transform, xyzw
 from geort_drake.systems.contacts import bodies_of_geometries
@@ -122,7 +122,7 @@ def describe_scene(
 
 
 def write_robot_hand(
-    writer: Writer, path: str, hand: HandModel, q: np.ndarray, X_WB: RigidTransform | None = None
+    writer: Writer, path: str, hand: Hand, q: np.ndarray, X_WB: RigidTransform | None = None
 ) -> None:
     """Sends a robot hand at joint positions q (T, n), rad, one row for each of the writer's times.
 

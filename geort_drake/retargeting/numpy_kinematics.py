@@ -24,7 +24,7 @@ class NumpyKinematics:
     """
 
     def __init__(self, kinematics: HandKinematics):
-        """Takes the hand's kinematics, from `HandModel.kinematics()` for example."""
+        """Takes the hand's kinematics, from `Hand.kinematics()` for example."""
         self.finger_names, self.joint_names = kinematics.finger_names, kinematics.joint_names
         self.lower, self.upper = kinematics.lower, kinematics.upper
         self.tip_radius, self.p_BW = kinematics.tip_radius, kinematics.p_BW

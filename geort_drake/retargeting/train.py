@@ -32,7 +32,7 @@ from geort_drake.settings import check_names
 from geort_drake.versions import git_state, versions
 
 if TYPE_CHECKING:
-    from geort_drake.hands.model import HandModel
+    from geort_drake.hands.hand import Hand
 
 _VOXEL, _MIN_PLACES = 0.001, 50  # m; places that a fingertip must visit
 
@@ -63,7 +63,7 @@ def training_config(method: str, settings: Mapping | None = None) -> Any:
 
 
 def train_map(
-    hand: "HandModel",
+    hand: "Hand",
     recording: Recording | str | os.PathLike | None,
     method: str = DEFAULT_METHOD,
     seed: int = 0,
@@ -128,7 +128,7 @@ def train_map(
 
 
 def cached_map(
-    hand: "HandModel",
+    hand: "Hand",
     recording: Recording,
     method: str = DEFAULT_METHOD,
     seed: int = 0,
@@ -175,7 +175,7 @@ def cached_map(
     return path
 
 
-def _is_usable(path: Path, hand: "HandModel") -> bool:
+def _is_usable(path: Path, hand: "Hand") -> bool:
     """Whether there is an undamaged map for the hand; repeats the warnings of its training."""
     try:
         info = load_retargeter(path, hand).info

@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
 
 from geort_drake.errors import HandError
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, add_robot
@@ -139,7 +139,7 @@ def add_fingers(
     moved = (joints, at_start, model.limits, settings.period)
     correction = ActionCorrection(len(joints))
     if chosen.kind == "guard":
-        correction = SelfCollisionGuard(HandModel(description), *moved, chosen.clearance)
+        correction = SelfCollisionGuard(Hand(description), *moved, chosen.clearance)
     elif chosen.kind == "policy":
         correction = PolicyCorrection(load_policy(chosen.policy, len(joints)), *moved)
     builder.AddNamedSystem("action_correction", correction)

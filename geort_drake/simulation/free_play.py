@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
@@ -32,7 +32,7 @@ def _frames(person: HumanHand) -> np.ndarray:
 
 
 def seen_fingertips(
-    retarget: Callable[[np.ndarray], np.ndarray], hand: HandModel, person: HumanHand, latency: float = 0.0
+    retarget: Callable[[np.ndarray], np.ndarray], hand: Hand, person: HumanHand, latency: float = 0.0
 ) -> FreePlay:
     """Returns the person's and the robot's fingertips during free play; none if the method raises.
 
@@ -57,7 +57,7 @@ def seen_fingertips(
     return FreePlay(p_HF, p_BF, stride / RATE)
 
 
-def practise(scenario: Scenario, retarget: Any, hand: HandModel, person: HumanHand) -> tuple[Any, FreePlay]:
+def practise(scenario: Scenario, retarget: Any, hand: Hand, person: HumanHand) -> tuple[Any, FreePlay]:
     """Returns the map of a trial, and what the person saw of it in free play before.
 
     The map is fixed before the trial starts, unless the scenario says otherwise. The play has its latency.

@@ -87,7 +87,7 @@ class Judge(PythonSystem):
         num_fingers: int,
         num_links: int,
         num_joints: int = 0,
-        shows: Mapping[str, Callable[[Outcome], Sequence[float]]] | None = None,
+        shows: Mapping[str, Callable[[Outcome], Sequence[float] | np.ndarray]] | None = None,
     ):
         super().__init__()
         self._judgement = judgement

@@ -60,7 +60,7 @@ class Site(NamedTuple):
     scene_graph: SceneGraph
     scenario: Scenario
     description: HandDescription
-    goal: Goal
+    goal: Any
     X_WB: RigidTransform
     settings: Any
     rng: np.random.Generator
@@ -88,7 +88,7 @@ class Handled:
     positions: tuple[Sequence[str], str] = ((), "")
     shape: ObjectShape | None = None
     placement: Placement | None = None
-    shows: Mapping[str, Callable[[Outcome], Sequence[float]]] = dc.field(default_factory=dict)
+    shows: Mapping[str, Callable[[Outcome], Sequence[float] | np.ndarray]] = dc.field(default_factory=dict)
 
 
 @dc.dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Task:
     scenario: str | tuple[Path, str]
     plan: Callable[[Scenario, HandDescription], list[Plan]]
     add: Callable[[Site], Handled]
-    person: Callable[[Scenario, HumanHand, Goal, np.random.Generator], Person]
+    person: Callable[[Scenario, HumanHand, Any, np.random.Generator], Person]
     percepts: tuple[str, ...]
     cases_of: Callable[[], list[str]] | None = None
     settings: type = NoSettings

@@ -8,7 +8,7 @@ from scipy.optimize import nnls
 
 from geort_drake.errors import HandError
 from geort_drake.hands.clearance import HandClearance
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.systems.action_correction import CorrectionConfig, PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits
 
@@ -51,7 +51,7 @@ class SelfCollisionGuard(PeriodicCorrection):
 
     def __init__(
         self,
-        hand: HandModel,
+        hand: Hand,
         actuated_joints: Sequence[str],
         initial_positions: Mapping[str, float],
         limits: JointLimits,

@@ -7,7 +7,7 @@ from plans import DAMPING, HOLDING, LARGEST_STEP, Oracle, object_pose, script
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task, pick_place
@@ -64,4 +64,4 @@ class _RelaxedOracle(Oracle):
 @functools.cache
 def oracle(hand: str) -> Oracle:
     """Returns the oracle of a robot hand."""
-    return _RelaxedOracle(HandModel(hand))
+    return _RelaxedOracle(Hand(hand))

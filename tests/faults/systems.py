@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from system_bench import Bench, Watch
 
 from faults.sound import LOWER, UPPER, play, smooth_retargeter
-from geort_drake import HandModel
+from geort_drake import Hand
 from geort_drake.hands.clearance import HandClearance
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
@@ -164,7 +164,7 @@ def fuzz_guard(count: int, seed: int) -> dict:
         was broken, and the median times, µs, of steps that passed a finite command on or corrected it.
     """
     rng = np.random.default_rng(seed)
-    hand = HandModel("allegro_right")
+    hand = Hand("allegro_right")
     limits = JointLimits(hand.lower, hand.upper)
     start = dict(zip(hand.joint_names, hand.default_position, strict=True))
     guard = SelfCollisionGuard(hand, hand.joint_names, start, limits, PERIOD, CLEARANCE)

@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.model import HandModel
+from geort_drake.hands.hand import Hand
 from geort_drake.simulation.operators.goal import Plan
 
 _TOLERANCE = 0.001  # m, largest position error of a fingertip
@@ -36,7 +36,7 @@ class FingerPlanner:
     def __init__(self, description: HandDescription, needed: Sequence[str], task: str):
         require_fingers(description, needed, task)
         known = description.finger_names
-        self.hand = HandModel(description)
+        self.hand = Hand(description)
         self.fingers = np.array([known.index(name) for name in needed])
         self.radius = np.array([description.fingers[index].tip_radius for index in self.fingers])
         self.touches = np.isin(known, needed)
