@@ -52,7 +52,7 @@ def test_the_overview_lists_every_command_in_a_line(capsys):
     assert main([]) == main(["--help"]) == main(["help"]) == 0
     lines = capsys.readouterr().out.splitlines()
     for name in COMMANDS:
-        assert sum(line.startswith(f"  {name} ") for line in lines) == 3
+        assert sum(line.startswith(f"  {name:22} ") for line in lines) == 3
     assert all(len(line) < 120 for line in lines)
 
 
