@@ -32,7 +32,7 @@ def reaches(request, record_property):
     margin = request.config.getoption("--training-margin")
 
     def check(name: str, value: float, limit: float) -> None:
-        record_property(name, limit / value if value > 0 else np.inf)
+        record_property(name, float(limit / value) if value > 0 else float("inf"))
         assert value <= limit / margin, (
             f"{name}: {value:.3g} is not below {limit:g} by a factor of {margin:g}"
         )
