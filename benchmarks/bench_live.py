@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.add_argument("--scenario-text", default="{}", help="YAML merged into the scenario")
     arguments = parse(options, argv)
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "geort_drake", "live", "--port", "0", "--no-open", "--json"]
+        command = [sys.executable, "-m", "geort_drake", "live", "--port", "0", "--no-open", "--json", "-"]
         command += ["--scenario-text", arguments.scenario_text]
         if arguments.retargeter:
             command += ["--retargeter", str(arguments.retargeter.resolve())]

@@ -73,7 +73,18 @@ def new_page(browser, **options):
 @contextmanager
 def live_program(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen, str, str]]:
     """Runs the command `live` in a folder; yields its process, the page's address and the key to it."""
-    command = [sys.executable, "-m", "geort_drake", "live", "--no-open", "--port", "0", "--json", *options]
+    command = [
+        sys.executable,
+        "-m",
+        "geort_drake",
+        "live",
+        "--no-open",
+        "--port",
+        "0",
+        "--json",
+        "-",
+        *options,
+    ]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, cwd=folder, **pipes) as program:
         try:

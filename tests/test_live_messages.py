@@ -322,7 +322,7 @@ def program(folder: Path, name: str, *arguments: str, stdin: int = subprocess.DE
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1", "COLUMNS": "200"}
     with open(folder / f"{name}.log", "w") as log, open(folder / f"{name}.json", "w") as out:
         process = subprocess.Popen(
-            [sys.executable, "-m", "geort_drake", name, *arguments],
+            [sys.executable, "-m", "geort_drake", *name.split(), *arguments],
             stdin=stdin, stdout=out, stderr=log, env=environment
         )  # fmt: skip
         try:
@@ -360,14 +360,14 @@ def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
         return None
 
     with (
-        program(tmp_path, "stand-in-robot", "--robot", address),
+        program(tmp_path, "live stand-in-robot", "--robot", address),
         program(
-            tmp_path, "publish", str(station / "hand.npz"), "--to", f"pub+{glove}", "--loop"
+            tmp_path, "live publish", str(station / "hand.npz"), "--to", f"pub+{glove}", "--loop"
         ) as publisher,
         program(
             tmp_path, "live", "--glove", f"sub+{glove}", "--robot", address,
             "--retargeter", str(station / "map.safetensors"), "--engage", "now", "--relax-after", "0.5",
-            "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json"
+            "--timeout", str(PATIENCE_S), "--robot-silence", "20", "--json", "-"
         ) as teleoperation
     ):  # fmt: skip
         wait_for_text(tmp_path, "live", "tracking")
@@ -390,7 +390,7 @@ def test_a_replay_drives_the_simulation(station, tmp_path):
     with program(
         tmp_path, "live", "--glove", str(station / "hand.npz"),
         "--retargeter", str(station / "map.safetensors"),
-        "--record", str(tmp_path / "kept.npz"), "--json", stdin=subprocess.PIPE
+        "--record", str(tmp_path / "kept.npz"), "--json", "-", stdin=subprocess.PIPE
     ) as teleoperation:  # fmt: skip
         # The first Enter is there before the loop begins, so only the second one disengages.
         for state in ("tracking", "disengaged: held"):
