@@ -98,7 +98,7 @@ def test_leap_grasps():
     plans = GraspPlanner(scenario, hand.description).plans(2)
     goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))
     result, _ = run_trial(scenario, retarget, (person, goal))
-    assert result.success and result.attempts == 1 and result.slip < 0.03
+    assert result.success and result.attempts == 1 and result.metrics["slip"] < 0.03
     with pytest.raises(HandError, match="for allegro_right, not for the robot hand leap_right"):
         run_trial(scenario, after_play(load_retargeter("allegro_right"), person), (person, goal))
 
