@@ -3,13 +3,14 @@
 Without a graphics card, the viewer draws with Mesa's software driver (apt-get install mesa-vulkan-drivers).
 """
 
+import argparse
 import os
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from rerun.experimental import ViewerClient
@@ -56,7 +57,17 @@ def photographs(
         viewer.wait()
 
 
+def main(argv: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("recording", type=Path, help="Rerun recording (.rrd)")
+    parser.add_argument("picture", type=Path, help="picture to write (.png)")
+    parser.add_argument("time", type=float, nargs="?", help="time, s (default: the end)")
+    arguments = parser.parse_args(argv)
+    shots = photographs(arguments.recording, lambda end: [end if arguments.time is None else arguments.time])
+    arguments.picture.write_bytes(next(shots))
+
+
 if __name__ == "__main__":
-    source, picture, *at = sys.argv[1:]
-    shots = photographs(Path(source), lambda end: [float(at[0]) if at else end])
-    Path(picture).write_bytes(next(shots))
+    main()

@@ -295,7 +295,7 @@ UNREADABLE = {
     "missing.npy": ["missing.npy: no such file"],
     "shape.npy": ["shape.npy", "shape (T, 21, 3)", "(1800, 20, 3)"],
     "millimetres.npy": ["millimetres.npy", "60 to 110 mm", "millimetres", "--unit mm"],
-    "nan.npy": ["nan.npy", "360 of 1800 frames", "first is frame 100", "one in ten"],
+    "nan.npy": ["nan.npy", "360 of 1800 frames", "the first is 100", "one in ten"],
     "table.csv": ["table.csv", "manus_csv"],
 }
 

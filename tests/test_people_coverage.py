@@ -87,7 +87,7 @@ def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys, monkeyp
     Recording(recording.t[:half], recording.p_HK[:half], recording.valid[:half]).save(path)
     waits = []
     clock = SimpleNamespace(sleep=lambda seconds: (waits.append(seconds), recording.save(path)))
-    monkeypatch.setattr("geort_drake.cli.check_recording.time", clock)
+    monkeypatch.setattr("geort_drake.cli.recording.time", clock)
     run_command("recording check", [str(path), "--watch"])
     assert len(waits) == 1 and "coverage: 15 of 15" in capsys.readouterr().err
 

@@ -108,7 +108,7 @@ def recording(name: str, write: bytes | Callable[[Path], object]) -> Make:
     def make(folder: Path) -> tuple:
         path = folder / name
         path.write_bytes(write) if isinstance(write, bytes) else write(path)
-        return "convert", path, "out.npz"
+        return "recording convert", path, "--output", "out.npz"
 
     return make
 
@@ -149,22 +149,6 @@ def archive(members: dict[str, bytes]) -> Callable[[Path], None]:
     return write
 
 
-def doubling(times: int) -> bytes:
-    """Returns a pickle of 16 bytes that are written in hexadecimal again and again."""
-    body = b"C\x10" + bytes(16)
-    for _ in range(times):
-        body = b"c_codecs\nencode\n" + body + b"\x8c\x03hex\x86R"
-    return b"\x80\x04" + body + b"."
-
-
-def nested_lists(levels: int) -> bytes:
-    """Returns a pickle of a list of ten times the same list of ten times the same list …"""
-    body = b"\x80\x04]\x94"
-    for level in range(levels):
-        body += b"](" + (b"h" + bytes([level])) * 10 + b"e\x94"
-    return body + b"."
-
-
 def sparse(path: Path) -> None:
     """Makes a file grow to 40 GiB that take no space on the disk."""
     with path.open("ab") as file:
@@ -173,16 +157,7 @@ def sparse(path: Path) -> None:
 
 PROMISE = npy_header((10**12, 21, 3)) + bytes(504)
 OUTSIDE = npy_header((2, 21, 3)) + bytes(2 * 504)
-# What NumPy would unpickle to objects in memory that holds none; some of it ends the process.
-ARRAY = (np.zeros(0).__reduce__()[0], np.ndarray, (0,), b"b")
-MISLEADING = {
-    "a type with fields": Calls(np.dtype, "V8", False, True, state=(3, "|", None, ("a",), {"a": 1}, 8, 1, 0)),
-    "too few objects": Calls(*ARRAY, state=(1, (4,), np.dtype(object), False, [1, 2])),
-    "too much memory": Calls(*ARRAY, state=(1, (2, 10**9), np.dtype("f8"), False, bytes(16))),
-    "objects made of bytes": Calls(np.float64(0).__reduce__()[0], np.dtype(object), bytes(8)),
-}
-ATTRIBUTE = b"\x80\x04\x8c\x16numpy._core.multiarray\x8c\x15_reconstruct.__self__\x93."
-CODE, TOO_LARGE = "which could run code", r"has \d+\.0 GiB; the limit is 2 GiB"
+TOO_LARGE = r"has \d+\.0 GiB; the limit is 2 GiB"
 
 RECORDINGS: dict[str, tuple[Make, str]] = {
     "an archive that unpacks to 10 GiB": (recording("bomb.npz", zip_bomb), TOO_LARGE),
@@ -198,18 +173,7 @@ RECORDINGS: dict[str, tuple[Make, str]] = {
         recording("hand.npy", lambda path: np.save(path, np.array([SHELL], object), allow_pickle=True)),
         "pickled objects",
     ),
-    "a pickle that calls the shell": (recording("hand.pkl", pickle.dumps([SHELL])), f"system, {CODE}"),
-    "a pickle that reaches through an attribute": (recording("hand.pkl", ATTRIBUTE), "_reconstruct.__self__"),
-    "a pickle that doubles itself": (recording("hand.pkl", doubling(40)), f"{CODE}|not a readable pickle"),
-    "a pickle of lists of lists": (recording("hand.pkl", nested_lists(20)), "matches no known format"),
-    "a pickle with a key 100,000 deep": (
-        recording("hand.pkl", b"\x80\x04})" + b"\x85" * 100_000 + b"K\x01s."),
-        "matches no known format",
-    ),
-    **{
-        f"a pickle of {what}": (recording("hand.pkl", pickle.dumps(array)), "not a readable pickle")
-        for what, array in MISLEADING.items()
-    },
+    "a pickle that calls the shell": (recording("hand.pkl", pickle.dumps([SHELL])), r"not '\.pkl'"),
     "JSON 100,000 deep": (recording("hand.json", DEEP), "not JSON: maximum recursion depth"),
     "JSON of 40 GiB": (recording("hand.json", sparse), TOO_LARGE),
     "a pipe": (recording("hand.npz", os.mkfifo), "no such file"),
@@ -327,14 +291,6 @@ HANDS: dict[str, tuple[Make, str]] = {
     "SDF that reads another file": (
         sdf_with_entities("<!ENTITY a SYSTEM 'file:///etc/passwd'>", "&a;"),
         UNREADABLE,
-    ),
-    "a mass that is not a number": (
-        hand_with_sdf("<mass>[^<]*", "<mass>nan"),
-        "mass of link 'base_link' in hand.sdf must be finite and not negative; given: nan",
-    ),
-    "a joint of many turns": (
-        hand_with_sdf("<lower>[^<]*", "<lower>-1e308"),
-        r"joint 'joint_0' needs position limits within ±100 rad; given: \[-1e\+308",
     ),
 }
 
