@@ -12,11 +12,11 @@ from loop_bench import LoopBench
 
 from geort_drake import Recording, load_retargeter
 from geort_drake.cli import main
-from geort_drake.files import writing
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
+from geort_drake.people.recording_log import RecordingLog, read_log
 from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.tasks import task_names
 from geort_drake.simulation.tasks.grasp import GraspPhase
@@ -147,27 +147,34 @@ def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_r
 
 
 @pytest.mark.filterwarnings("ignore:the recording ends here")
-def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_parts(tmp_path, monkeypatch):
-    page, save, full = Page(tmp_path), Recording.save, False
+def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_log(tmp_path, monkeypatch):
+    page, append, full = Page(tmp_path), RecordingLog.append, False
 
-    def save_unless_full(recording, path):
-        with writing(path):
-            if full:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            save(recording, path)
+    class FullDisk:
+        """A file whose disk has no space left."""
 
-    monkeypatch.setattr(Recording, "save", save_unless_full)
-    page.bench.recorder._part_samples = 10
+        def write(self, _data: bytes) -> None:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def close(self) -> None:
+            pass
+
+    def append_unless_full(log, *frames):
+        if full:
+            log._file = FullDisk()
+        append(log, *frames)
+
+    monkeypatch.setattr(RecordingLog, "append", append_unless_full)
     page.run(Record(keep=True), Engage())
-    (parts,) = tmp_path.glob("*.parts")
-    while not (written := list(parts.glob("[0-9]*.npz"))):  # without drafts
+    (log,) = tmp_path.glob("*.log")
+    while read_log(log) is None:  # until frames are written
         page.run(steps=10)
     full = True
     while "No space left" not in page.control.note:
         page.run(steps=10)
     page.control.end()
     page.control.close()
-    assert written[0].is_file()
+    assert read_log(log) is not None
     page.control._published = 0.0
     page.run()
     assert json.loads(page.states[-1])["recording"] is None

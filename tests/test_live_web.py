@@ -136,7 +136,7 @@ def test_a_hand_of_the_other_side_is_refused_in_words():
     with pytest.raises(MismatchError, match="use the other hand"):
         operated.take(1, hello(side="left"))
     operated.take(1, hello())
-    with pytest.raises(GeortError, match="left"):
+    with pytest.raises(GeortError, match="other side"):
         for number in range(HANDSHAKE_FRAMES):
             operated.take(1, headset(number, p_WK=in_world(number, "left")))
     assert operated.drain() == [] and operated.refused == 2

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
@@ -16,11 +16,8 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting.base import Retargeter
 from geort_drake.retargeting.store import load_retargeter, shipped_maps
 
-if TYPE_CHECKING:
-    from geort_drake.cli.live import Live
 
-
-def checkpoint_of(command: "Live", description: HandDescription) -> Path:
+def checkpoint_of(command: Any, description: HandDescription) -> Path:
     """Returns the file of the requested map; by default the hand's universal map, else a trained one."""
     hand = command.load_scenario().hand
     if (path := command.retargeter or shipped_maps().get(hand)) is not None:

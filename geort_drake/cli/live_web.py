@@ -3,7 +3,7 @@
 import copy
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from geort_drake.cli.base import command, finish, write_json
 from geort_drake.cli.live_session import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
@@ -27,14 +27,11 @@ from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.task import Task
 from geort_drake.simulation.tasks import find_task, task_names
 
-if TYPE_CHECKING:
-    from geort_drake.cli.live import Live
-
 # Folder of the page's recordings, unless --record names another.
 _RECORDINGS = Path("runs/live")
 
 
-def run_web(options: "Live", scenario: Scenario, description: HandDescription, address: str | None) -> int:
+def run_web(options: Any, scenario: Scenario, description: HandDescription, address: str | None) -> int:
     """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
     page = find_page()
     if options.meshcat:
