@@ -190,6 +190,7 @@ def test_a_documented_command_parses(line, tmp_path, monkeypatch):
 TINY = LIGHT["geort"] | {"steps": 3}
 SETTINGS = " ".join(f"--set {name}={value}" for name, value in TINY.items())
 SHORT = "--scenario-text '{timeout: 0.3, task_settings: {hold_time: 0.01}}'"
+LONGER = "--scenario-text '{timeout: 1.5}'"  # until the person's hand moves
 CHAINS = yaml.safe_load(Path(__file__).with_name("commands.yaml").read_text("utf-8"))
 
 
@@ -226,7 +227,7 @@ def test_commands_run(chain, tiny_work, capsys):
     """
     capsys.readouterr()
     for line, key in CHAINS[chain].items():
-        name, words = split_command(shlex.split(line.format(settings=SETTINGS, short=SHORT)))
+        name, words = split_command(shlex.split(line.format(settings=SETTINGS, short=SHORT, longer=LONGER)))
         assert run_command(name, [*words, *(["--json", "-"] if key else [])]) == 0
         captured = capsys.readouterr()
         assert key in json.loads(captured.out) if key else captured.out == ""
