@@ -214,6 +214,10 @@ def test_the_mirror_has_the_same_places(task):
         ("cap", "hold", "adaptive", "turn: 90", 0.0, 0.05),
         ("pick_place", "affine_ik", "servo", "", 1.0, 1.0),
         ("peg", "affine_ik", "adaptive", "", 1.0, 1.0),
+        pytest.param(
+            *("peg", "affine_ik", "servo", "", 1.0, 1.0),
+            marks=pytest.mark.xfail(reason="loses the dowel on seed 0 since synthetic play is solid"),
+        ),
         ("grasp", "affine_ik", "adaptive", "", 1.0, 1.0),
         ("grasp", "affine_ik", "mimicry", "", 1.0, 1.0),
     ],
