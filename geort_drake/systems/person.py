@@ -35,8 +35,10 @@ class PersonMap:
 
     def __init__(self, for_person: Callable[[np.ndarray], Callable[[np.ndarray], np.ndarray]]):
         self._for_person = for_person
-        # The last result of `_of`, which takes 1 ms, by its frames.
-        self._cached: dict[bytes, tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]] = {}
+        # The last result of `_of`, which takes 1 ms, and its frames. It is compared, not hashed, because it is
+        # read at every update.
+        self._frames = b""
+        self._last: tuple[Callable[[np.ndarray], np.ndarray], np.ndarray] | None = None
 
     def measure(self, memory: np.void, p_HK: np.ndarray) -> bool:
         """Adds a frame (21, 3), m, to a memory with `PERSON_FIELDS`, unless the hand has been measured.
@@ -80,10 +82,11 @@ class PersonMap:
     def _of(self, memory: np.void) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
         """Returns the map, and the logarithms of the measured bone lengths (20,)."""
         frames = memory["frames"].tobytes()
-        if frames not in self._cached:
+        if self._last is None or frames != self._frames:
             p_HK = memory["frames"].copy()
-            self._cached = {frames: (self._for_person(p_HK), np.median(_log_bones(p_HK), axis=0))}
-        return self._cached[frames]
+            self._last = self._for_person(p_HK), np.median(_log_bones(p_HK), axis=0)
+            self._frames = frames
+        return self._last
 
 
 def _log_bones(p_HK: np.ndarray) -> np.ndarray:
