@@ -10,7 +10,7 @@ from geort_drake.errors import BenchmarkError, MethodError, UnknownNameError
 from geort_drake.hands.hand import Hand
 from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import Recording
-from geort_drake.retargeting import METHODS
+from geort_drake.retargeting import DEFAULT_METHOD, METHODS, train
 from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.store import SUFFIX, fit, load_retargeter, shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
@@ -56,14 +56,20 @@ def names_of(methods: Sequence[str], hand: Hand | None = None) -> dict[str, str]
     return names
 
 
+def default_method(hand: Hand) -> str:
+    """Returns the method to take where none is named: the hand's universal map, or one that is trained."""
+    return "universal" if hand.description.name in shipped_maps() else DEFAULT_METHOD
+
+
 def resolve(
-    method: str, hand: Hand, recording: Recording, seed: int = 0, device: str = "cpu"
+    method: str, hand: Hand, recording: Recording | None = None, seed: int = 0, device: str = "cpu"
 ) -> tuple[Retarget, Path | None]:
     """Returns a retargeter, and the path of its map or Python file; None for an untrained method.
 
     Args:
         method: name of a method, or path of a map or a Python file.
-        recording: training data, or the frames that an untrained method uses.
+        recording: training data, or the frames that an untrained method uses; None synthesises five minutes
+            of play for a method that needs them.
         seed: seed of the training, or of an untrained method's random samples.
         device: "cpu" or "cuda", for the training.
     """
@@ -72,13 +78,14 @@ def resolve(
         return OwnMethod(path.resolve(), hand.description), path
     if method not in METHODS:
         return load_retargeter(path, hand), path
+    if method == "universal":
+        return fit(hand), shipped_maps()[hand.description.name]
+    recording = train.training_recording(recording, hand.description.side, seed)
     if is_trained(method):
-        from geort_drake.retargeting.train import cached_map  # loads PyTorch
-
-        path = cached_map(hand, recording, method, seed, device)
+        path = train.cached_map(hand, recording, method, seed, device)
         return load_retargeter(path, hand), path
-    retarget = METHODS[method].fit(hand, recording.fingertips(hand.description.human_keypoints), seed=seed)
-    return retarget, shipped_maps()[hand.description.name] if method == "universal" else None
+    p_HF = recording.fingertips(hand.description.human_keypoints)
+    return METHODS[method].fit(hand, p_HF, seed=seed), None
 
 
 def measure_latency(retarget: Retarget, recording: Recording) -> float:

@@ -336,6 +336,6 @@ def test_live_says_before_it_trains_that_this_takes_minutes(tmp_path, inputs, mo
 
     monkeypatch.setattr(retargeting_train, "train_map", train)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr("geort_drake.cli.live_session.shipped_maps", dict)  # a hand without one
-    with pytest.raises(InterruptedError, match=r"no geort map.*takes about two minutes"):
+    monkeypatch.setattr("geort_drake.methods.shipped_maps", dict)  # a hand without one
+    with pytest.raises(InterruptedError, match=r"no geort map.*takes minutes"):
         run_command("live", ["--glove", str(inputs / "no_wrist.npz")])

@@ -13,6 +13,7 @@ from geort_drake.cli.base import (
     Side,
     command,
     finish,
+    methods_epilog,
     options,
     require,
     require_json_file,
@@ -42,9 +43,9 @@ class Live(Command, ScenarioOptions):
     """source of the hand motion"""
     robot: Annotated[str, arg(metavar="TARGET")] = "simulation"
     """robot or simulation to drive"""
-    retargeter: Annotated[Path | None, arg(metavar="MAP")] = None
-    """map (default: the hand's universal map; without one, a map trained on synthetic play; if the cache has
-    none, training it takes minutes before anything moves)"""
+    retargeter: Annotated[str | None, arg(metavar="NAME")] = None
+    """method listed below, map or Python file (default: the hand's universal map; without one, a map trained
+    on synthetic play; if the cache has none, training it takes minutes before anything moves)"""
     glove_id: Annotated[str | None, arg(metavar="ID")] = None
     """serial number of the MANUS glove, if a bridge sends several"""
     engage: Literal["key", "now"] = "key"
@@ -69,13 +70,14 @@ class Live(Command, ScenarioOptions):
     """show the simulation in a browser on this machine"""
     json: Json = None
 
+    epilog = staticmethod(methods_epilog)
+
     def run(self) -> int:
         from geort_drake import GloveReplay, load_hand, read_recording
         from geort_drake.cli.live_session import (
-            checkpoint_of,
-            load,
             print_keys,
             print_summary,
+            retargeter_of,
             say_state,
             summary_of,
         )
@@ -119,7 +121,7 @@ class Live(Command, ScenarioOptions):
             duration = min(duration, glove.duration)
         _warn_of_open_addresses(self.glove if receiver else None, address)
 
-        retarget = load(checkpoint_of(self, description), description)
+        retarget, _ = retargeter_of(self.retargeter, description)
         model = RobotModel(scenario, description)
         recorder = None
         if self.record:

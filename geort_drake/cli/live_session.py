@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from pathlib import Path
-from typing import Any
 
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
@@ -12,25 +11,28 @@ from geort_drake.live.glove_stream import NOTABLE_DRIFT
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import SessionReport
 from geort_drake.live.teleoperation import Teleoperation
-from geort_drake.people.synthetic.play import synthesize_play
-from geort_drake.retargeting.base import Retargeter
-from geort_drake.retargeting.store import load_retargeter, shipped_maps
+from geort_drake.methods import default_method, names_of, resolve
+from geort_drake.retargeting.base import Retarget
 
 
-def checkpoint_of(command: Any, description: HandDescription) -> Path:
-    """Returns the file of the requested map; by default the hand's universal map, else a trained one."""
-    hand = command.load_scenario().hand
-    if (path := command.retargeter or shipped_maps().get(hand)) is not None:
-        return path
-    say(f"no universal map is shipped for {hand}; using a map trained on synthetic play")
-    from geort_drake.retargeting.train import cached_map  # loads PyTorch
+def retargeter_of(name: str | None, description: HandDescription) -> tuple[Retarget, str]:
+    """Returns the retargeter for a hand, and a few words for it.
 
-    return cached_map(Hand(description), synthesize_play(seed=0, side=description.side))
+    Args:
+        name: name of a method, or path of a map or a Python file; None takes the hand's universal map, or one
+            that is trained on synthetic play.
 
-
-def load(path: Path, description: HandDescription) -> Retargeter:
-    """Loads a map for a hand."""
-    return load_retargeter(path, Hand(description))
+    Raises:
+        GeortError: see `geort_drake.methods.names_of`.
+    """
+    hand = Hand(description)
+    method = name or default_method(hand)
+    names_of([method], hand)
+    words = "universal map" if method == "universal" else f"map of {Path(method).name}"
+    if name is None and method != "universal":
+        say(f"no universal map is shipped for {description.name}; using a map trained on synthetic play")
+        words = "map trained on synthetic play"
+    return resolve(method, hand)[0], words
 
 
 def print_keys(keys: str) -> None:

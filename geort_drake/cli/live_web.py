@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from geort_drake.cli.base import command, finish, write_json
-from geort_drake.cli.live_session import checkpoint_of, load, print_keys, print_summary, say_state, summary_of
+from geort_drake.cli.live_session import print_keys, print_summary, retargeter_of, say_state, summary_of
 from geort_drake.console import console
 from geort_drake.errors import GeortError, UsageError
 from geort_drake.files import require_writable
@@ -40,15 +40,12 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, addr
         require_writable(options.record, directory=True)
     if address:
         _confirm_real_robot()
-    checkpoint = checkpoint_of(options, description)
+    retarget, words = retargeter_of(options.retargeter, description)
     model = RobotModel(scenario, description)
     link = None
     if address:
         bus = open_bus(address, description)
         link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
-    words = f"map of {checkpoint.name}" if options.retargeter else "universal map"
-    if options.retargeter is None and checkpoint.is_dir():
-        words = "map trained on synthetic play"
     scenarios = {scenario.task: scenario}
     tasks: dict[str, list[str]] = {}
     instructions: dict[str, str] = {}
@@ -67,7 +64,7 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, addr
             scenarios,
             description,
             model,
-            load(checkpoint, description),
+            retarget,
             station,
             server,
             control,

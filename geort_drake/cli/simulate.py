@@ -18,7 +18,6 @@ from geort_drake.cli.base import (
     command,
     finish,
     methods_epilog,
-    methods_for,
     options,
     require,
     require_json_file,
@@ -87,9 +86,8 @@ class Grasp(Command, ScenarioOptions):
         from geort_drake.console import print_table, progress_bar, say, track, warn
         from geort_drake.export.episode import RESULTS, SCENARIO
         from geort_drake.files import locked, write_text
-        from geort_drake.methods import names_of, resolve
+        from geort_drake.methods import default_method, names_of, resolve
         from geort_drake.own_method import OwnMethod
-        from geort_drake.retargeting import DEFAULT_METHOD
         from geort_drake.retargeting.train import training_recording
         from geort_drake.retargeting.universal import UniversalRetargeter
         from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
@@ -105,8 +103,7 @@ class Grasp(Command, ScenarioOptions):
         base, replay = self._request()
         description = load_hand(base.hand)
         hand = Hand(description)
-        has_map = "universal" in methods_for(base.hand)
-        method = self.retargeter or ("universal" if has_map else DEFAULT_METHOD)
+        method = self.retargeter or default_method(hand)
         names_of([method], hand=hand)  # refuses an unusable one
         side = self.side or description.side
         scenarios = self.scenarios_of(base, replay)
@@ -123,23 +120,23 @@ class Grasp(Command, ScenarioOptions):
             for reason in refused:
                 warn(f"left out: {reason}")
             scenarios = [scenario for scenario in scenarios if isinstance(plans[scenario.object.name], list)]
-        retarget, checkpoint = resolve(method, hand, recording, self.seed, self.device)
+        retarget, path = resolve(method, hand, recording, self.seed, self.device)
         source = str(self.recording or f"synthetic play, seed {self.seed}")
         say(f"Human motion: {source}")
         properties: dict[str, str | float] = {"method": method, "hand": description.name}
         session = replay.metadata if replay else {}
         properties |= {f"session_{name}": json_format.dumps(value) for name, value in session.items()}
-        if checkpoint is None:
+        if path is None:
             say(f"Retargeter:   {method} (needs no training)")
         elif isinstance(retarget, OwnMethod):
-            say(f"Retargeter:   {checkpoint} (own method)")
+            say(f"Retargeter:   {path} (own method)")
         elif isinstance(retarget, UniversalRetargeter):
-            say(f"Retargeter:   {checkpoint} (universal)")
-            properties |= {"checkpoint": str(checkpoint), "method": "universal"}
+            say(f"Retargeter:   {path} (universal)")
+            properties |= {"map": str(path), "method": "universal"}
         else:
-            say(f"Retargeter:   {checkpoint}")
+            say(f"Retargeter:   {path}")
             info = getattr(retarget, "info", {})
-            properties |= {"checkpoint": str(checkpoint), "method": info.get("method", method)}
+            properties |= {"map": str(path), "method": info.get("method", method)}
 
         person = persons_hand(scenarios[0], recording)
         goals = {}
@@ -151,7 +148,7 @@ class Grasp(Command, ScenarioOptions):
             "version": __version__,
             "human_motion": source,
             "recording_sha256": recording.digest,
-            "retargeter": str(checkpoint or method),
+            "retargeter": str(path or method),
             "session": session,
         }
         results: list[TrialResult] = []
@@ -293,7 +290,7 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
     """Formats a command that tries a retargeter: `grasp` if the hand can, else `explore`.
 
     Args:
-        retargeter: checkpoint or map.
+        retargeter: the map's file.
         hand: name or description file.
         recording: recording on which the retargeter was trained.
     """

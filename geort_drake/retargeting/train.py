@@ -164,8 +164,8 @@ def cached_map(
     if _is_usable(path, hand):
         return path
     say(
-        f"The cache has no {method} map for {hand.description.name} and this recording; training one takes "
-        "about two minutes."
+        f"The cache has no {method} map for {hand.description.name} and this recording; training one "
+        "takes minutes."
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     with locked(path.with_name(f".{path.name}.lock"), wait=True):

@@ -35,8 +35,8 @@ class PersonMap:
 
     def __init__(self, for_person: Callable[[np.ndarray], Callable[[np.ndarray], np.ndarray]]):
         self._for_person = for_person
-        # The last result of `_of`, which takes 1 ms, and its frames. It is compared, not hashed, because it is
-        # read at every update.
+        # The last result of `_of`, which takes 1 ms, and its frames. These are compared, not hashed, because
+        # every update does so.
         self._frames = b""
         self._last: tuple[Callable[[np.ndarray], np.ndarray], np.ndarray] | None = None
 
