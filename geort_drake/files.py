@@ -166,17 +166,19 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
     Raises:
         OutputError: the nearest existing parent is not a folder or not writable.
     """
-    target = Path(os.path.realpath(target))
+    given = Path(target)
+    # Messages name the path as it was given.
+    target = Path(os.path.realpath(given)) if given.is_symlink() else given
     if not directory and target.is_dir():
-        raise OutputError(f"{target}: is a directory, not a file")
+        raise OutputError(f"{given}: is a directory, not a file")
     if target.exists() and not (target.is_file() or target.is_dir()):
         if not os.access(target, os.W_OK):
-            raise OutputError(f"{target}: cannot be written to")
+            raise OutputError(f"{given}: cannot be written to")
         return
     candidates = (target, *target.parents) if directory else target.parents
     nearest = next(path for path in candidates if path.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        raise OutputError(f"{target}: {nearest} is not a directory that can be written to")
+        raise OutputError(f"{given}: {nearest} is not a directory that can be written to")
 
 
 def is_replaceable(target: str | os.PathLike, mark: str) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import CheckpointError, RecordingError, TrainingError
-from geort_drake.files import locked, source_digest
+from geort_drake.files import locked, require_writable, source_digest
 from geort_drake.people.coverage import finger_motions
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M, Recording
@@ -163,6 +163,7 @@ def cached_map(
     path = cache_dir() / "retargeters" / f"{hand.description.name}-{method}-{key}{SUFFIX}"
     if _is_usable(path, hand):
         return path
+    require_writable(path)
     say(
         f"The cache has no {method} map for {hand.description.name} and this recording; training one "
         "takes minutes."

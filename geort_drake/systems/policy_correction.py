@@ -115,6 +115,8 @@ def load_policy(path: str | os.PathLike, num_joints: int) -> Policy:
         ModuleNotFoundError: the package torch or onnxruntime is not installed.
     """
     path = Path(path)
+    if not path.is_file():
+        raise PolicyError(f"{path}: no such policy file")
     loaders = {".pt": _torchscript, ".pts": _torchscript, ".onnx": _onnx}
     if path.suffix not in loaders:
         raise PolicyError(f"{path}: a policy's file name ends with one of {', '.join(loaders)}")
