@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
 from geort_drake import Hand, Recording, load_scenario, run_trial, synthesize_play
+from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting import METHODS
@@ -21,7 +22,7 @@ from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.operators.perception import FreePlay
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import TrialResult
+from geort_drake.simulation.task import Task, TrialResult
 from geort_drake.simulation.tasks import find_task
 
 GAIN = 1.5
@@ -154,9 +155,13 @@ def plans(task: str) -> list:
 
 
 def plan_once(patch, task: str) -> None:
-    """Lets a finger task's stages find those plans without a search."""
-    found = [plan.goal for plan in plans(task)]
-    patch.setattr(type(find_task(task)), "plans", lambda *_: found)
+    """Lets a finger task's stages find those plans without a search; other tasks plan as usual."""
+    goals_of_task, search = [plan.goal for plan in plans(task)], Task.plans
+
+    def plans_of(each: Task, scenario: Scenario, description: HandDescription) -> list:
+        return goals_of_task if each.name == task else search(each, scenario, description)
+
+    patch.setattr(Task, "plans", plans_of)
 
 
 @cache
