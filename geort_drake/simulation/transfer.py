@@ -22,6 +22,23 @@ from geort_drake.simulation.task import Handled, Site, Task
 from geort_drake.simulation.world import add_placed_object
 from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
 
+# Part of the tasks' scenarios: the arm's posture above a bare table, and its mirror image for a left hand.
+ARM_POSTURE = """
+arm_posture: &posture
+  panda_joint1: 0.09
+  panda_joint2: 0.39
+  panda_joint3: 0.11
+  panda_joint4: -1.42
+  panda_joint5: -0.76
+  panda_joint6: 0.69
+  panda_joint7: -0.48
+left_arm_posture:
+  <<: *posture
+  panda_joint1: -0.09
+  panda_joint3: -0.11
+  panda_joint5: 0.76
+  panda_joint7: 0.48
+"""
 TOUCH_FORCE = 0.02  # N, force above which a finger touches
 HOLD_TIME = 0.5  # s for which the last step must stay done
 # The object is lost if it is this far below its place, or this far from it and untouched, m.

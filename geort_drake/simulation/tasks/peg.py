@@ -7,14 +7,14 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.operators.goal import Plan
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.transfer import CarriedState, Transfer
+from geort_drake.simulation.transfer import ARM_POSTURE, CarriedState, Transfer
 
 # Bottom of the left hole in W, whose mirror image is the right one, and depth of both, m: see SCENARIO and
 # models/sdf/peg_block.sdf.
 _HOLE, _DEPTH = (0.45, 0.15, 0.030), 0.030
 _TIP_HEIGHT = 0.105  # m above the lower end, so that the dowel hangs from its contacts
 
-SCENARIO = """
+SCENARIO = ARM_POSTURE + """
 kind: servo
 timeout: 40.0
 directives:
@@ -28,21 +28,6 @@ directives:
     child: peg_block::peg_block
     X_PC:
       translation: [0.45, 0.0, 0.0]
-arm_posture: &posture
-  panda_joint1: 0.09
-  panda_joint2: 0.39
-  panda_joint3: 0.11
-  panda_joint4: -1.42
-  panda_joint5: -0.76
-  panda_joint6: 0.69
-  panda_joint7: -0.48
-# The mirror image of that.
-left_arm_posture:
-  <<: *posture
-  panda_joint1: -0.09
-  panda_joint3: -0.11
-  panda_joint5: 0.76
-  panda_joint7: 0.48
 object: {name: dowel, position: [0.45, 0.0], support_height: 0.06}
 """
 

@@ -11,7 +11,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.operators.goal import Plan
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.transfer import CarriedState, Transfer
+from geort_drake.simulation.transfer import ARM_POSTURE, CarriedState, Transfer
 
 HEIGHTS = {"block_20": 0.020, "block_25": 0.025, "block_30": 0.030}  # m
 _MAX_ANGLE = math.radians(15)
@@ -20,25 +20,10 @@ _MAX_ANGLE = math.radians(15)
 _CARRY_DISTANCE, _POSITION_RANGE, _YAW_RANGE = 0.15, 0.02, 0.2
 _MARK = np.array([0.20, 0.62, 0.35, 1.0])
 
-SCENARIO = """
+SCENARIO = ARM_POSTURE + """
 kind: servo
 timeout: 30.0
 directives: [{add_directives: {file: package://geort_drake/diagrams/bare_table.dmd.yaml}}]
-arm_posture: &posture
-  panda_joint1: 0.09
-  panda_joint2: 0.39
-  panda_joint3: 0.11
-  panda_joint4: -1.42
-  panda_joint5: -0.76
-  panda_joint6: 0.69
-  panda_joint7: -0.48
-# The mirror image of that.
-left_arm_posture:
-  <<: *posture
-  panda_joint1: -0.09
-  panda_joint3: -0.11
-  panda_joint5: 0.76
-  panda_joint7: 0.48
 object: {name: block_20, position: [0.45, 0.0], support_height: 0.0, yaw_range: 0.2}
 # A light grip: these things are small.
 operator: {lift_height: 0.1, squeeze: 0.012}
