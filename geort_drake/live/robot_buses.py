@@ -266,14 +266,15 @@ def require_lcm_messages(description: HandDescription) -> None:
         )
 
 
-class LcmBus:
-    """Commands an Allegro hand and a Panda arm, and receives their statuses."""
+class _Lcm(Generic[Message]):
+    """Sends and receives Drake's messages of all devices on an LCM bus."""
 
     arm_is_required = True
 
-    def __init__(self, url: str):
+    def __init__(self, url: str, decoders: Mapping[str, Callable[[bytes], Message]]):
+        """Takes LCM channel → decoder of its messages."""
         self._lcm = open_lcm(url)
-        self._inbox = Inbox(self._lcm, {f"{d.channel}_STATUS": d.decode_status for d in DEVICES})
+        self._inbox = Inbox(self._lcm, decoders)
 
     @property
     def refused(self) -> int:
@@ -282,6 +283,19 @@ class LcmBus:
     @property
     def last_refusal(self) -> str:
         return self._inbox.last_refusal
+
+    def fetch(self) -> list[Message]:
+        return self._inbox.fetch()
+
+    def close(self) -> None:
+        pass
+
+
+class LcmBus(_Lcm[JointState]):
+    """Commands an Allegro hand and a Panda arm, and receives their statuses."""
+
+    def __init__(self, url: str):
+        super().__init__(url, {f"{d.channel}_STATUS": d.decode_status for d in DEVICES})
 
     def send(self, targets: JointTargets) -> None:
         q = dict(zip(targets.names, targets.position, strict=True))
@@ -289,27 +303,12 @@ class LcmBus:
             message = device.encode_command(targets.time, [float(q[name]) for name in device.joints])
             self._lcm.Publish(f"{device.channel}_COMMAND", message)
 
-    def fetch(self) -> list[JointState]:
-        return self._inbox.fetch()
 
-    def close(self) -> None:
-        pass
-
-
-class LcmDriverBus:
+class LcmDriverBus(_Lcm[JointTargets]):
     """The driver's end of `LcmBus`."""
 
     def __init__(self, url: str):
-        self._lcm = open_lcm(url)
-        self._inbox = Inbox(self._lcm, {f"{d.channel}_COMMAND": d.decode_command for d in DEVICES})
-
-    @property
-    def refused(self) -> int:
-        return self._inbox.refused
-
-    @property
-    def last_refusal(self) -> str:
-        return self._inbox.last_refusal
+        super().__init__(url, {f"{d.channel}_COMMAND": d.decode_command for d in DEVICES})
 
     def send(self, state: JointState) -> None:
         values = {
@@ -320,6 +319,3 @@ class LcmDriverBus:
             self._lcm.Publish(
                 f"{device.channel}_STATUS", device.encode_status(state.time, position, velocity)
             )
-
-    def fetch(self) -> list[JointTargets]:
-        return self._inbox.fetch()

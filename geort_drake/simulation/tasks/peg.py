@@ -14,7 +14,9 @@ from geort_drake.simulation.transfer import ARM_POSTURE, CarriedState, Transfer
 _HOLE, _DEPTH = (0.45, 0.15, 0.030), 0.030
 _TIP_HEIGHT = 0.105  # m above the lower end, so that the dowel hangs from its contacts
 
-SCENARIO = ARM_POSTURE + """
+SCENARIO = (
+    ARM_POSTURE
+    + """
 kind: servo
 timeout: 40.0
 directives:
@@ -30,6 +32,7 @@ directives:
       translation: [0.45, 0.0, 0.0]
 object: {name: dowel, position: [0.45, 0.0], support_height: 0.06}
 """
+)
 
 
 def _is_in(dowel: CarriedState, depth: float) -> bool:

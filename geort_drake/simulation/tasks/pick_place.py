@@ -20,7 +20,9 @@ _MAX_ANGLE = math.radians(15)
 _CARRY_DISTANCE, _POSITION_RANGE, _YAW_RANGE = 0.15, 0.02, 0.2
 _MARK = np.array([0.20, 0.62, 0.35, 1.0])
 
-SCENARIO = ARM_POSTURE + """
+SCENARIO = (
+    ARM_POSTURE
+    + """
 kind: servo
 timeout: 30.0
 directives: [{add_directives: {file: package://geort_drake/diagrams/bare_table.dmd.yaml}}]
@@ -28,6 +30,7 @@ object: {name: block_20, position: [0.45, 0.0], support_height: 0.0, yaw_range: 
 # A light grip: these things are small.
 operator: {lift_height: 0.1, squeeze: 0.012}
 """
+)
 
 
 def _is_placed(block: CarriedState) -> bool:
