@@ -33,11 +33,11 @@ _RECORDINGS = Path("runs/live")
 
 def run_web(options: Any, scenario: Scenario, description: HandDescription, address: str | None) -> int:
     """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
-    page = find_page()
     if options.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
     if options.record:
         require_writable(options.record, directory=True)
+    page = find_page()
     if address:
         _confirm_real_robot()
     retarget, words = retargeter_of(options.retargeter, description)
