@@ -88,7 +88,13 @@ def live_program(folder: Path, *options: str) -> Iterator[tuple[subprocess.Popen
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, cwd=folder, **pipes) as program:
         try:
-            line = next(line for line in program.stderr if "Hold up your hand" in line)
+            log: list[str] = []
+            for line in program.stderr:
+                log.append(line)
+                if "Hold up your hand" in line:
+                    break
+            else:
+                raise RuntimeError(f"`live` ended before it served its page: {''.join(log)}")
             yield program, *re.search(r"(http://\S+)/#(\S+)", line).groups()
         finally:
             program.kill()

@@ -281,6 +281,10 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
 def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
     """The command, driven by a page that sends a headset's joints; `grasp --replay` replays the recording."""
     map_file(tmp_path)
+    # The page's script is not needed, which is there only where Node.js is.
+    page = tmp_path / "geort_drake/live/web/static"
+    page.mkdir(parents=True)
+    (page / "index.html").write_text("a page")
     with live_program(tmp_path, "--retargeter", str(tmp_path / "map.safetensors")) as (program, address, key):
         scenes = asyncio.run(_drive(f"{address}/ws?key={key}"))
         program.send_signal(signal.SIGINT)

@@ -1,5 +1,6 @@
 """Commands that drive a robot or its simulation live, and stand in for a glove or a robot."""
 
+import contextlib
 import math
 from pathlib import Path
 from typing import Annotated, Literal
@@ -112,28 +113,29 @@ class Live(Command, ScenarioOptions):
             from geort_drake.cli.live_web import run_web
 
             return run_web(self, scenario, description, address)
-        receiver = None
-        if is_address(self.glove):
-            receiver = open_receiver(self.glove)
-            glove = GloveStream(receiver, side, self.glove_id)
-        else:
-            glove = GloveReplay(read_recording(self.glove, side))
-            duration = min(duration, glove.duration)
-        _warn_of_open_addresses(self.glove if receiver else None, address)
-
-        retarget, _ = retargeter_of(self.retargeter, description)
-        model = RobotModel(scenario, description)
-        recorder = None
-        if self.record:
-            parts = RecordingLog(self.record, {"side": side, "source": "teleoperation"})
-            if parts.recovered:
-                warn(f"an earlier session to {self.record} was interrupted; it is kept as {parts.recovered}")
-            recorder = GloveRecorder(scenario.retargeting.period, parts)
-        link = None
-        if address:
-            bus = open_bus(address, description)
-            link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
-        try:
+        with contextlib.ExitStack() as stack:
+            receiver = None
+            if is_address(self.glove):
+                receiver = stack.enter_context(contextlib.closing(open_receiver(self.glove)))
+                glove = GloveStream(receiver, side, self.glove_id)
+            else:
+                glove = GloveReplay(read_recording(self.glove, side))
+                duration = min(duration, glove.duration)
+            _warn_of_open_addresses(self.glove if receiver else None, address)
+            link = None
+            bus = stack.enter_context(contextlib.closing(open_bus(address, description))) if address else None
+            retarget, _ = retargeter_of(self.retargeter, description)
+            model = RobotModel(scenario, description)
+            if bus:
+                link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
+            recorder = None
+            if self.record:
+                parts = RecordingLog(self.record, {"side": side, "source": "teleoperation"})
+                if (old := parts.recovered) is not None:
+                    warn(f"an earlier session to {self.record} was interrupted; it is kept as {old}")
+                recorder = GloveRecorder(scenario.retargeting.period, parts)
+                # Finishes the recording even if the session ends with an error.
+                stack.callback(recorder.finish)
             if receiver:
                 glove.handshake(self.timeout)
             if link is None:
@@ -164,16 +166,9 @@ class Live(Command, ScenarioOptions):
                     lambda: link.require_alive(self.robot_silence) if link else None,
                     say_state,
                 )
-        finally:
-            if receiver:
-                receiver.close()
-            if link:
-                link.bus.close()
-            # Finishes the recording even if the session ended with an error.
-            recorded = recorder is not None and recorder.finish()
         summary = summary_of(report, loop, link)
         print_summary(summary)
-        if recorded:
+        if self.record and self.record.is_file():
             finish({"Recording": self.record}, command("grasp", recording=self.record))
         write_json(self.json, summary)
         return 0

@@ -180,8 +180,8 @@ class _ZmqSocket:
             self._zmq: Any = importlib.import_module("zmq")
         except ImportError:
             raise LiveError("ZeroMQ needs pyzmq: pip install 'geort-drake[live]'") from None
-        self._context = self._zmq.Context()
-        self._socket = self._context.socket(getattr(self._zmq, pattern.upper()))
+        # One context for the process: a context of its own waits for ever if it is freed before its socket.
+        self._socket = self._zmq.Context.instance().socket(getattr(self._zmq, pattern.upper()))
         self._socket.setsockopt(self._zmq.LINGER, 0)
         self._socket.setsockopt(self._zmq.RCVHWM, _MAX_AT_ONCE)
         self._socket.setsockopt(self._zmq.SNDHWM, 2)
@@ -197,7 +197,6 @@ class _ZmqSocket:
 
     def close(self) -> None:
         self._socket.close()
-        self._context.term()
 
 
 class ZmqReceiver(_ZmqSocket):
