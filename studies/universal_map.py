@@ -4,6 +4,7 @@ python studies/universal_map.py models/maps/allegro_right.safetensors --people 8
     --recordings alex.npy manus.npz
 
 Universal maps get the first second of a recording, `affine_ik` all of it. Figures are of the whole recording.
+With --save, the mean figures of the synthetic people are written into the maps' files, for the docs' table.
 """
 
 import argparse
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.console import print_table
+from geort_drake.files import finite_json
 from geort_drake.hands.hand import Hand, canonical_kinematics
 from geort_drake.metrics.metrics import adapted, distal_phalanges, evaluate_frames
 from geort_drake.people.readers import read_recording
@@ -59,6 +61,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("maps", nargs="+", type=Path)
     parser.add_argument("--people", type=int, default=8, help="number of synthetic people")
     parser.add_argument("--affine", action="store_true", help="score affine_ik, which takes minutes, too")
+    parser.add_argument("--save", action="store_true", help="write the mean figures into the maps' files")
     parser.add_argument("--recordings", nargs="*", type=Path, default=[])
     arguments = parser.parse_args(argv)
     maps: dict[str, Retargeter] = {str(path): load_retargeter(path) for path in arguments.maps}
@@ -79,7 +82,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         shown = {person: row for person, row in people.items() if not person.startswith("person ")}
         if drawn:
             columns = zip(*drawn, strict=True)
-            shown["synthetic, mean"] = [np.nanmean(column, axis=0) for column in columns]
+            means = shown["synthetic, mean"] = [np.nanmean(column, axis=0) for column in columns]
+            if arguments.save and name in maps:
+                saved = {
+                    title: np.round(value, 4).tolist() for title, value in zip(COLUMNS, means, strict=True)
+                }
+                maps[name].info = {**maps[name].info, "unseen_people": finite_json(saved)}
+                maps[name].save(name)
         table = [(person, *map(_text, row)) for person, row in shown.items()]
         print_table(("person", *COLUMNS), table, name)
 

@@ -19,8 +19,10 @@ from geort_drake import load_retargeter
 
 p_HK = np.load("hand.npy")
 retarget = load_retargeter(sys.argv[1]).for_person(p_HK)
+assert retarget.robot_hands == (sys.argv[1],)
 q = retarget(p_HK[0])
 assert q.shape == (len(retarget.joint_names),) and np.isfinite(q).all()
+assert sorted(retarget.motor_columns) == list(range(len(q)))
 assert (retarget.lower <= q).all() and (q <= retarget.upper).all()
 assert np.isfinite(retarget.jacobian(p_HK[0])).all()
 assert not {"pydrake", "torch", "scipy", "rerun", "rich"} & set(sys.modules)

@@ -123,13 +123,18 @@ class AddHand(Command):
 
 @options
 class ListHands(Command):
-    """List the hands that are known by name, and which of them have a universal map."""
+    """List the hands that are known by name, their universal maps, and how to get their models.
+
+    A map needs no model; training, evaluation and simulation do.
+    """
 
     json: Json = None
 
     def run(self) -> int:
         from geort_drake import load_hand
         from geort_drake.console import print_table
+        from geort_drake.errors import HandError
+        from geort_drake.hands.model_search import find_model
         from geort_drake.resources import hand_names
         from geort_drake.retargeting.store import shipped_maps
 
@@ -137,13 +142,16 @@ class ListHands(Command):
         maps, rows = shipped_maps(), []
         for name in hand_names():
             hand = load_hand(name)
-            rows.append((name, hand.side, ", ".join(hand.finger_names), "yes" if name in maps else "no"))
-        print_table(
-            ("hand", "side", "fingers", "universal map"), rows, text=("side", "fingers", "universal map")
-        )
-        write_json(
-            self.json, [dict(zip(("name", "side", "fingers", "map"), row, strict=True)) for row in rows]
-        )
+            try:
+                find_model(hand)
+                model = "at hand"
+            except HandError:
+                model = f"missing: {hand.source.get}" if hand.source.get else "missing"
+            has_map = "yes" if name in maps else "no"
+            rows.append((name, hand.side, ", ".join(hand.finger_names), has_map, model))
+        columns = ("hand", "side", "fingers", "map", "model")
+        print_table(columns, rows, text=columns[1:])
+        write_json(self.json, [dict(zip(("name", *columns[1:]), row, strict=True)) for row in rows])
         finish({}, command("hand", "add", "my_hand.urdf"))
         return 0
 

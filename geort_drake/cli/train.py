@@ -19,12 +19,16 @@ from geort_drake.cli.base import (
     require,
     require_json_file,
     require_output_file,
+    require_output_folder,
     write_json,
 )
 from geort_drake.cli.simulate import try_out
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from geort_drake.hands.hand import Hand
+    from geort_drake.retargeting.universal.losses import UniversalSettings
     from geort_drake.retargeting.universal.person import UniversalRetargeter
 
 
@@ -34,14 +38,16 @@ class Train(Command):
 
       geort-drake train --hand allegro_right --recording alex.npy --output runs/alex.safetensors
       geort-drake train --hand my_hand.yaml --universal --output my_hand.safetensors
+      geort-drake train --universal --hands wuji_right shadow_right --output maps
 
     In the five minutes of a recording, the person should move every finger to its limits and pinch each with
     the thumb. geort_drake.load_retargeter(FILE) loads the map.
 
     --universal trains the map of the method universal, which serves every person, in a quarter of an hour on
-    one core; the same command resumes it. If a hand of the same name with the other side is known and is the
-    mirror image, its map is written beside FILE. The same seed gives the same weights bit for bit, with the
-    same package versions and the same kind of processor.
+    one core; the same command resumes it, also of several hands. A second training refines the first.
+    If a hand of the same name with the other side is known and is the mirror image, its map is written beside
+    FILE. The same seed gives the same weights bit for bit, with the same package versions and the same kind
+    of processor.
 
     Exit codes: 0 success; 2 the input is invalid or the loss is not finite, and nothing was written.
     """
@@ -49,6 +55,8 @@ class Train(Command):
     output: Annotated[Path, arg(metavar="FILE")]
     """map to write (.safetensors)"""
     hand: HandName = "allegro_right"
+    hands: Annotated[tuple[str, ...], arg(metavar="NAME")] = ()
+    """hands whose maps --universal trains in turn, into the folder --output; existing files are kept"""
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of a human hand (default: five minutes of synthetic play)"""
     method: Annotated[str, arg(metavar="NAME")] = "geort"
@@ -78,7 +86,11 @@ class Train(Command):
         from geort_drake.console import print_table, progress_bar, warn
         from geort_drake.retargeting.train import training_recording
 
-        require_output_file(self.output, ".safetensors")
+        if self.hands:
+            require(self.universal, "--hands", "given with --universal", " ".join(self.hands))
+            require_output_folder(self.output)
+        else:
+            require_output_file(self.output, ".safetensors")
         require_json_file(self.json)
         require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         if self.universal:
@@ -118,49 +130,87 @@ class Train(Command):
         return 0
 
     def _train_universal(self) -> int:
-        from geort_drake import Hand, load_hand, load_retargeter
-        from geort_drake.console import print_table, progress_bar
+        from geort_drake import load_retargeter
+        from geort_drake.console import print_table, say
         from geort_drake.errors import GeortError
-        from geort_drake.hands.collision_shapes import canonical_shapes
-        from geort_drake.hands.hand import canonical_kinematics
+        from geort_drake.people.synthetic.population import sample_population
         from geort_drake.retargeting.universal.losses import UniversalSettings
         from geort_drake.retargeting.universal.person import UniversalRetargeter
-        from geort_drake.retargeting.universal.train import mirrored_map, train_universal
         from geort_drake.settings import parse_settings
 
         if self.recording is not None:
             raise GeortError("--universal trains on synthetic people; --recording has no effect with it")
-        hand, output = Hand(load_hand(self.hand)), self.output
         changes = parse_settings(list(self.set), UniversalSettings(), "the universal map")
         if self.steps is not None:
             changes["steps"] = self.steps
-        kinematics = canonical_kinematics(hand)
+        settings = dataclasses.replace(UniversalSettings(), **changes)
+        settings.validate()
         start = None if self.start is None else load_retargeter(self.start)
         if not isinstance(start, UniversalRetargeter | None):
             raise GeortError(f"--start: {self.start} is no universal map")
-        with progress_bar(not self.quiet) as bars:
-            retargeter = train_universal(
-                kinematics,
-                canonical_shapes(hand),
-                dataclasses.replace(UniversalSettings(), **changes),
-                self.seed,
-                self.device,
-                bars.losses("training", None),
-                output.with_suffix(".state"),
-                start,
-            )
-        written = {"Map": _save_universal(retargeter, hand, output)}
+        outputs = {self.hand: self.output}
+        if self.hands:
+            self.output.mkdir(parents=True, exist_ok=True)
+            outputs = {name: self.output / f"{Path(name).stem}.safetensors" for name in self.hands}
+        unfinished = {name: path for name, path in outputs.items() if not (self.hands and path.is_file())}
+        for name in outputs.keys() - unfinished.keys():
+            say(f"{outputs[name]} exists")
+        p_HK = sample_population(settings.people, self.seed, settings.play_s) if unfinished else None
+        figures, written = {}, {}
+        for name, path in unfinished.items():
+            figures[name], paths = self._train_map(name, path, settings, p_HK, start)
+            written |= paths
+            rows = [(figure.replace("_", " "), f"{value:.4f}") for figure, value in figures[name].items()]
+            print_table(("figure of the training", "value"), rows, f"{name}, seed {self.seed}")
+        write_json(self.json, figures if self.hands else figures[self.hand])
+        following = try_out(self.output, self.hand, None) if not self.hands else None
+        finish(written, following)
+        return 0
+
+    def _train_map(
+        self,
+        name: str,
+        output: Path,
+        settings: "UniversalSettings",
+        p_HK: "np.ndarray | None",
+        start: "UniversalRetargeter | None",
+    ) -> tuple[dict[str, float], dict[str, Path]]:
+        """Trains the map of one hand; returns the training's figures, and the files with what they contain.
+
+        A map that starts from none is trained twice, see `UniversalSettings.refined`.
+        """
+        from geort_drake import Hand, load_hand, load_retargeter
+        from geort_drake.console import progress_bar
+        from geort_drake.hands.collision_shapes import canonical_shapes
+        from geort_drake.hands.hand import canonical_kinematics
+        from geort_drake.retargeting.universal.train import mirrored_map, train_universal
+
+        hand = Hand(load_hand(name))
+        kinematics, shapes = canonical_kinematics(hand), canonical_shapes(hand)
+
+        def train(
+            settings: "UniversalSettings", start: Any, stage: str, state: Path
+        ) -> "UniversalRetargeter":
+            with progress_bar(not self.quiet) as bars:
+                report = bars.losses(f"{hand.description.name}, {stage}", None)
+                return train_universal(
+                    kinematics, shapes, settings, self.seed, self.device, report, state, start, p_HK
+                )
+
+        first = output.with_suffix(".first")
+        if start is None:
+            if not first.is_file():
+                train(settings, None, "training", output.with_suffix(".state")).save(first)
+            start, settings = load_retargeter(first), settings.refined()
+        retargeter = train(settings, start, "refinement", output.with_suffix(".refined.state"))
+        written = {f"Map for {hand.description.name}": _save_universal(retargeter, hand, output)}
+        first.unlink(missing_ok=True)
         if (other := _other_side(hand)) is not None:
             converted = mirrored_map(retargeter, kinematics, canonical_kinematics(other))
             if converted is not None:
                 path = output.with_name(f"{other.description.name}{output.suffix}")
                 written[f"Map for {other.description.name}"] = _save_universal(converted, other, path)
-        figures = retargeter.info["figures"]
-        rows = [(name.replace("_", " "), f"{value:.4f}") for name, value in figures.items()]
-        print_table(("figure of the training", "value"), rows, f"{hand.description.name}, seed {self.seed}")
-        write_json(self.json, figures)
-        finish(written, try_out(self.output, self.hand, None))
-        return 0
+        return retargeter.info["figures"], written
 
     def _settings(self) -> dict[str, Any]:
         """Returns the method's settings from --set, --steps and --fk; later ones take precedence."""
@@ -178,6 +228,8 @@ def _save_universal(retargeter: "UniversalRetargeter", hand: "Hand", path: Path)
     from geort_drake.versions import git_state, versions
 
     retargeter.robot_hands = (hand.description.name,)
+    if order := [joint for joint in hand.description.motor_order if joint in hand.joint_names]:
+        retargeter.info = {**retargeter.info, "motor_order": order}
     origin = {"hands": {hand.description.name: hand.digest}, "versions": versions(), "git": git_state()}
     retargeter.info = {**retargeter.info, "provenance": {**retargeter.info["provenance"], **origin}}
     retargeter.save(path)

@@ -36,7 +36,8 @@ from geort_drake.errors import HandError
 from geort_drake.hands.description import HandDescription, load_hand, resolved_couplings
 from geort_drake.hands.mjcf import add_mjcf
 from geort_drake.hands.model_files import check_values, find_package, read_model
-from geort_drake.resources import PACKAGE_NAME, resolve_uri, resource_root
+from geort_drake.hands.model_search import find_model
+from geort_drake.resources import PACKAGE_NAME, resource_root
 
 
 def add_hand_model(
@@ -61,10 +62,8 @@ def add_hand_model(
     description = load_hand(description)
     if plant.is_finalized():
         raise HandError(f"hand '{description.name}' cannot be added to a plant that is finalized")
-    path = resolve_uri(description.model)
+    path = find_model(description)
     source = f"hand '{description.name}' with model {path}"
-    if not os.path.isfile(path):  # unlike Path.is_file, False for a name that is too long
-        raise HandError(f"hand '{description.name}': the model file {path} is missing")
     constraints, surroundings = set(plant.GetConstraintIds()), set(_world_geometries(plant))
     hand = parse_model(plant, path, source)
     if name is not None:

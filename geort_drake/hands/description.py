@@ -13,7 +13,7 @@ from geort_drake.errors import HandError, UnknownNameError
 from geort_drake.files import write_text
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import SIDES
-from geort_drake.resources import PACKAGE_NAME, hand_names, models_dir
+from geort_drake.resources import hand_names, models_dir
 from geort_drake.yaml_files import check_fields, fault_of
 
 
@@ -81,6 +81,22 @@ class ActuationDescription:
 
 
 @dc.dataclass
+class SourceDescription:
+    """Where a model is published that does not come with this package."""
+
+    # The command that gets it.
+    get: str = ""
+    # Package and version, or repository and commit.
+    published: str = ""
+    # The licence of the model.
+    licence: str = ""
+    # SHA-256 of the model's file and those that it includes; another one causes a warning.
+    sha256: str = ""
+    # Other places of the same model, as in `HandDescription.model`.
+    also: list[str] = dc.field(default_factory=list)
+
+
+@dc.dataclass
 class HandDescription:
     """A robot hand: its model, and how its parts correspond to a human hand's.
 
@@ -88,8 +104,10 @@ class HandDescription:
     """
 
     name: str = ""
-    # SDF, URDF or MJCF file: package://geort_drake/..., an absolute path, or one relative to the description.
+    # SDF, URDF or MJCF file: an absolute path, one relative to the description, or package://NAME/FILE in an
+    # installed package or a folder of GEORT_DRAKE_MODELS.
     model: str = ""
+    source: SourceDescription = dc.field(default_factory=SourceDescription)
     # The side of the hand, right or left.
     side: str = "right"
     # Frame or link of the model that is the hand base B: +x out of the palm, +z along the fingers, and so
@@ -99,6 +117,8 @@ class HandDescription:
     base_pose: BasePoseDescription = dc.field(default_factory=BasePoseDescription)
     # In the order thumb, index, middle, ring, little, without missing fingers.
     fingers: list[FingerDescription] = dc.field(default_factory=list)
+    # The joints in the order of the manufacturer's software, held ones too; empty if it is that of q.
+    motor_order: list[str] = dc.field(default_factory=list)
     # Initial joint positions by name, rad; by default the model's. A joint that no finger lists and that
     # follows no other is held there.
     default_positions: dict[str, float] = dc.field(default_factory=dict)
@@ -150,6 +170,9 @@ class HandDescription:
         joints = self.joint_names
         twice = sorted({joint for joint in joints if joints.count(joint) > 1})
         require(not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}")
+        order = self.motor_order
+        complete = {*joints} <= {*order} and len({*order}) == len(order)
+        require(not order or complete, "motor_order", f"each of {', '.join(joints)} once", order)
         for joint, position in self.default_positions.items():
             require(np.isfinite(position), f"default_positions.{joint}", "finite", position)
         for place in ("mount", "base_pose"):
@@ -272,7 +295,7 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
         hand.validate()
     except HandError as error:
         raise HandError(f"{path}: {error}") from error
-    if not hand.model.startswith(f"package://{PACKAGE_NAME}/"):
+    if not hand.model.startswith("package://"):
         hand.model = str(path.resolve().parent / hand.model)  # an absolute model path replaces the parent
     return hand
 

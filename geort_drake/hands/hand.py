@@ -27,7 +27,7 @@ from geort_drake.hands.description import HandDescription, JointCouplings, load_
 from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.hands.links import PlantFingertips, finger_chain, position_limits, tip_geometries
 from geort_drake.hands.model_files import digest_of_contents, model_files
-from geort_drake.resources import resolve_uri
+from geort_drake.hands.model_search import find_model, has_published_model
 
 
 class Hand:
@@ -46,7 +46,7 @@ class Hand:
         instance: the hand's model instance in `plant`.
         couplings: the joints that follow others.
         digest: SHA-256 over the description, the model, its includes and its collision meshes; independent of
-            the location of the files and of arm, mount and gains.
+            the location of the files and of arm, mount and gains. Meshes of a published model do not count.
         lower, upper: (n,) joint limits, rad, within which followers keep theirs.
 
     Raises:
@@ -58,14 +58,18 @@ class Hand:
     def __init__(self, hand: HandDescription | str | os.PathLike):
         self.description = description = load_hand(hand)
         description.validate()
-        path = resolve_uri(description.model)
+        path = find_model(description)
         self._source = f"hand '{description.name}' with model {path}"
         builder = DiagramBuilder()
         # Actuators with controller gains need a discrete plant; it is never stepped.
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
         self.instance = add_hand_model(self.plant, description)
-        files = model_files(self.plant, self.scene_graph.model_inspector(), self.instance, path)
-        self.digest = _digest(description, digest_of_contents(files))
+        if has_published_model(description):
+            model_sha256 = description.source.sha256
+        else:
+            files = model_files(self.plant, self.scene_graph.model_inspector(), self.instance, path)
+            model_sha256 = digest_of_contents(files)
+        self.digest = _digest(description, model_sha256)
         self._base = self._frame(description.base_frame, "base_frame")
         self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
         self.plant.WeldFrames(self.plant.world_frame(), self._base)
@@ -248,7 +252,8 @@ class Hand:
 def _digest(description: HandDescription, model_sha256: str) -> str:
     """Computes SHA-256 over everything that determines the hand's behaviour."""
     facts = dc.asdict(description) | {"model": model_sha256}
-    del facts["mount"], facts["actuation"]
+    for name in ("mount", "actuation", "source", "motor_order"):
+        del facts[name]
     # A field that is not used does not count.
     for name in ("base_pose", "couplings", "collide_as_drawn", "ignored_collisions"):
         if getattr(description, name) == getattr(HandDescription(), name):

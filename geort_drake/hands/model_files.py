@@ -107,7 +107,7 @@ def model_files(
         shapes = [inspector.GetShape(id) for id in geometries]
         sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
         meshes = [Path(source.path()) for source in sources if source.is_path()]
-    return list(dict.fromkeys([model, *_included_files(model, model), *meshes]))
+    return list(dict.fromkeys([model, *included_files(model), *meshes]))
 
 
 def digest_of_contents(files: Iterable[Path]) -> str:
@@ -116,8 +116,14 @@ def digest_of_contents(files: Iterable[Path]) -> str:
     return digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
-def _included_files(model: Path, main: Path) -> list[Path]:
-    """Finds the files that an SDF or MJCF file includes, recursively, in order; `main` is the outermost."""
+def included_files(model: Path, main: Path | None = None) -> list[Path]:
+    """Finds the files that an SDF or MJCF file includes, recursively, in order.
+
+    Args:
+        model: the file.
+        main: the outermost file, whose inclusion led to `model`; None for `model` itself.
+    """
+    main = main or model
     text = model.read_text(encoding="utf-8", errors="replace")
     names = re.findall(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", text)
     names += re.findall(r"<include\b[^/]*?>.*?<uri>\s*(.*?)\s*</uri>", text, flags=re.DOTALL)
@@ -127,7 +133,7 @@ def _included_files(model: Path, main: Path) -> list[Path]:
         file = next((f for f in (resolve_reference(m, name) for m in (main, model)) if f.exists()), None)
         file = file / "model.sdf" if file is not None and file.is_dir() else file
         if file is not None and file.is_file():
-            found += [file, *_included_files(file, main)]
+            found += [file, *included_files(file, main)]
     return found
 
 

@@ -88,6 +88,15 @@ class Retargeter(ABC):
         p_HF = self.fingertips(points)
         return self._angles(p_HF) if p_HF.ndim == 3 else self._angles(p_HF[None])[0]
 
+    @property
+    def motor_columns(self) -> np.ndarray:
+        """(n,) columns of q in the order of the manufacturer's software: send it `q[..., motor_columns]`.
+
+        The order is that of q where the software takes joints by name, and where the map does not tell.
+        """
+        order = self.info.get("motor_order") or self.joint_names
+        return np.array([self.joint_names.index(joint) for joint in order])
+
     def reset(self) -> None:  # noqa: B027 (most have nothing to forget)
         """Forgets earlier calls; only methods that optimise from frame to frame remember any."""
 

@@ -39,6 +39,7 @@ from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_s
 
 AVERAGE_EVERY = 5  # steps, within which weights hardly move
 SAVE_EVERY_S = 30.0
+MIRROR_TOLERANCE_M = 1e-3
 # Called as report(steps done, total steps, figures by name) about a hundred times per training.
 Report = Callable[[int, int, dict[str, float]], None]
 
@@ -370,6 +371,7 @@ def train_universal(
     report: Report | None = None,
     state: Path | None = None,
     start: UniversalRetargeter | None = None,
+    p_HK: np.ndarray | None = None,
 ) -> UniversalRetargeter:
     """Trains a universal map on the population of `geort_drake.people`.
 
@@ -382,6 +384,7 @@ def train_universal(
         state: file from which the training resumes, if it exists, and to which it saves its state about every
             half minute; deleted at the end. The result does not depend on interruptions.
         start: map of the same hand, from whose weights the training starts; None starts from random ones.
+        p_HK: (N, T, 21, 3) keypoints of the people, m; None samples them, which takes minutes.
 
     Returns:
         The map; its `info` has the settings, and the figures and the time of the training.
@@ -395,10 +398,10 @@ def train_universal(
     names = kinematics.finger_names
     if "thumb" not in names or len(names) < 2:
         raise TrainingError(f"the hand needs a thumb and another finger, it has {', '.join(names)}")
-    p_HK = sample_population(settings.people, seed, settings.play_s)
+    if p_HK is None:
+        p_HK = sample_population(settings.people, seed, settings.play_s)
     with one_thread():
         training = Training(kinematics, shapes, settings, p_HK, seed, device_of(device))
-        del p_HK
         if start is not None:
             training.start_from(start.arrays)
         if state is not None and state.is_file():
@@ -429,7 +432,7 @@ def train_universal(
 def mirrored_map(
     retargeter: UniversalRetargeter, hand: HandKinematics, mirrored: HandKinematics
 ) -> UniversalRetargeter | None:
-    """Converts the map of a hand to its mirror image, whose joints may have other names and senses.
+    """Converts the map of a hand to its mirror image, whose joints may have other names, senses and zeros.
 
     Args:
         retargeter: map of `hand`.
@@ -437,30 +440,12 @@ def mirrored_map(
         mirrored: kinematics of the other hand, mirrored; see `HandKinematics.mirrored`.
 
     Returns:
-        The map; None if the other hand is no mirror image within 1 µm and 1 µrad.
+        The map; None if the other hand is no mirror image within `MIRROR_TOLERANCE_M`.
     """
-    if mirrored.finger_names != hand.finger_names:
+    if (match := match_joints(hand, mirrored)) is None:
         return None
-    names, columns = list(hand.joint_names), retargeter.arrays["columns"]
-    rows, signs = np.zeros(len(names), dtype=int), np.ones(len(names))
-    for chain, other in zip(hand.fingers, mirrored.fingers, strict=True):
-        if chain.axes.shape != other.axes.shape or len(chain.joint_indices) != len(other.joint_indices):
-            return None
-        independent = [chain.all_joint_names.index(name) for name in chain.joint_names]
-        sense = np.sign((chain.axes * other.axes).sum(-1))[independent]
-        rows[list(other.joint_indices)] = chain.joint_indices
-        signs[list(other.joint_indices)] = sense
-    lower, upper = hand.lower[rows] * signs, hand.upper[rows] * signs
-    q = np.random.default_rng(0).uniform(mirrored.lower, mirrored.upper, (100, len(names)))
-    own = np.zeros_like(q)
-    own[:, rows] = q * signs
-    tips, others = (
-        fingertips(each, torch.tensor(angles)).numpy() for each, angles in ((hand, own), (mirrored, q))
-    )
-    limits = np.minimum(lower, upper), np.maximum(lower, upper)
-    same = np.allclose(limits, (mirrored.lower, mirrored.upper), atol=1e-6)
-    if not same or not np.allclose(tips, others, atol=1e-6):
-        return None
+    rows, signs = match
+    columns = retargeter.arrays["columns"]
     arrays = dict(retargeter.arrays)
     outputs = np.ones(arrays["bias2"].size, dtype=np.float32)
     outputs[columns[rows]] = signs
@@ -478,3 +463,47 @@ def mirrored_map(
     )
     result.info = retargeter.info
     return result
+
+
+def match_joints(hand: HandKinematics, mirrored: HandKinematics) -> tuple[np.ndarray, np.ndarray] | None:
+    """Matches the joints of two hands of which one is the mirror image of the other.
+
+    Joints correspond along each finger. At corresponding fractions of their ranges, both hands must have the
+    same fingertips within `MIRROR_TOLERANCE_M`, at 100 random postures.
+
+    Args:
+        hand, mirrored: as for `mirrored_map`.
+
+    Returns:
+        Numbers (n,) of the joints of `hand` for those of `mirrored`, and their senses (n,), 1 or −1; with −1,
+        one joint is at its upper limit where the other is at its lower. None if the hands differ.
+    """
+    if mirrored.finger_names != hand.finger_names or len(mirrored.joint_names) != len(hand.joint_names):
+        return None
+    rows, signs = np.zeros(len(hand.joint_names), dtype=int), np.ones(len(hand.joint_names))
+    axes, others = (_axes_amid_limits(each) for each in (hand, mirrored))
+    for chain, other in zip(hand.fingers, mirrored.fingers, strict=True):
+        own, theirs = list(chain.joint_indices), list(other.joint_indices)
+        if len(own) != len(theirs):
+            return None
+        rows[theirs] = own
+        signs[theirs] = np.where((axes[own] * others[theirs]).sum(-1) < 0, -1.0, 1.0)
+    fractions = np.random.default_rng(0).uniform(size=(100, len(rows)))
+    theirs = np.where(signs > 0, fractions[:, rows], 1.0 - fractions[:, rows])
+    tips, mirrored_tips = (
+        fingertips(each, torch.tensor(each.lower + part * (each.upper - each.lower))).numpy()
+        for each, part in ((hand, fractions), (mirrored, theirs))
+    )
+    far = np.linalg.norm(tips - mirrored_tips, axis=-1).max()
+    return (rows, signs) if far <= MIRROR_TOLERANCE_M else None
+
+
+def _axes_amid_limits(hand: HandKinematics) -> np.ndarray:
+    """Returns the unit axes (n, 3) of the joints in B, with all joints in the middle of their ranges."""
+    chains, angles = hand.uncoupled()
+    X_BJ = chains.joint_poses((angles @ (0.5 * (hand.lower + hand.upper)))[None])[0]
+    axes = np.zeros((len(chains.joint_names), 3))
+    for finger in chains.fingers:
+        for joint, axis in zip(finger.joint_indices, finger.axes, strict=True):
+            axes[joint] = X_BJ[joint, :3, :3] @ axis
+    return axes[: len(hand.joint_names)]

@@ -1,0 +1,131 @@
+"""Hands by name: their models, found or not, their maps, the order of their motors, and left hands."""
+
+import dataclasses
+import importlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from geort_drake import Hand, load_hand, load_retargeter
+from geort_drake.errors import HandError
+from geort_drake.hands.hand import canonical_kinematics
+from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
+from geort_drake.people.synthetic.population import sample_person
+from geort_drake.resources import hand_names, models_dir
+from geort_drake.retargeting.store import shipped_maps
+from geort_drake.retargeting.universal.train import MIRROR_TOLERANCE_M, match_joints
+
+SHARED_WUJI = Path(__file__).resolve().parents[2] / "shared" / "hands" / "wuji"
+# The orders in which the makers' software takes angles, by the joints' names.
+MOTORS = {
+    "allegro_left": [f"joint_{number}" for number in range(16)],
+    "leap_left": [f"joint_{number}" for number in range(16)],
+    # PSYONIC: index, middle, ring, little, thumb flexor, thumb rotator.
+    "ability_right": ["index_q1", "middle_q1", "ring_q1", "pinky_q1", "thumb_q2", "thumb_q1"],
+    # Inspire: little, ring, middle, index, thumb bending, thumb rotation.
+    "inspire_right": [
+        *(f"{finger}_proximal_joint" for finger in ("pinky", "ring", "middle", "index")),
+        "thumb_proximal_pitch_joint",
+        "thumb_proximal_yaw_joint",
+    ],
+    "wuji_right": [f"right_finger{finger}_joint{joint}" for finger in range(1, 6) for joint in range(1, 5)],
+}
+LEFT_HANDS = [name for name in sorted(shipped_maps()) if name.endswith("_left")]
+
+
+@pytest.fixture(scope="module")
+def hands():
+    """Loads hands by name, with the shared models; skips where a model is missing."""
+    patch = pytest.MonkeyPatch()
+    patch.setenv(MODEL_FOLDERS, str(SHARED_WUJI))
+
+    def load(name: str) -> Hand:
+        try:
+            find_model(load_hand(name))
+        except HandError as error:
+            pytest.skip(str(error))
+        return Hand(name)
+
+    yield load
+    patch.undo()
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_a_description_says_where_its_model_is_and_under_which_licence(name):
+    hand = load_hand(name)
+    assert hand.side in name
+    if not hand.model.startswith("package://geort_drake/"):
+        source = hand.source
+        assert source.get and source.published and source.licence and len(source.sha256) == 64
+
+
+@pytest.mark.parametrize("name", sorted(MOTORS.keys() & shipped_maps().keys()))
+def test_angles_are_told_in_the_order_of_the_makers_software(name):
+    retarget = load_retargeter(name)
+    assert [retarget.joint_names[column] for column in retarget.motor_columns] == MOTORS[name]
+
+
+@pytest.mark.parametrize("name", sorted(shipped_maps()))
+def test_a_map_has_the_joints_and_limits_of_the_hands_model(name, hands):
+    hand = hands(name)
+    retarget = load_retargeter(name, hand)  # a warning about the model is an error in tests
+    np.testing.assert_array_equal(retarget.lower, hand.lower)
+    np.testing.assert_array_equal(retarget.upper, hand.upper)
+
+
+@pytest.mark.parametrize("name", LEFT_HANDS)
+def test_a_left_hands_map_moves_the_mirror_image_of_the_right_hands_fingertips(name, hands):
+    left, right = hands(name), hands(name.replace("left", "right"))
+    assert match_joints(right.kinematics(), canonical_kinematics(left)) is not None
+    p_HK = sample_person(7, 0).record(2.0, 30.0).p_HK
+    tips = [
+        np.array([1.0, sign, 1.0]) * hand.fingertips(load_retargeter(hand.description.name)(p_HK))
+        for hand, sign in ((left, -1.0), (right, 1.0))
+    ]
+    np.testing.assert_allclose(*tips, atol=MIRROR_TOLERANCE_M)
+
+
+def test_a_hand_with_another_range_is_no_mirror_image(allegro, allegro_left):
+    left = canonical_kinematics(allegro_left)
+    assert match_joints(allegro.kinematics(), left) is not None
+    assert match_joints(allegro.kinematics(), dataclasses.replace(left, upper=left.upper + 0.1)) is None
+
+
+def published_hand(tmp_path: Path, sha256: str = "") -> Path:
+    """Writes a description of the right Allegro hand whose model is in a package."""
+    facts = yaml.safe_load((models_dir() / "hands" / "allegro_right.yaml").read_text("utf-8"))
+    facts["model"] = "package://some_hands/hand.sdf"
+    facts["source"] = {"get": "pip install some-hands", "published": "some-hands 1.0", "sha256": sha256}
+    path = tmp_path / "hand.yaml"
+    path.write_text(yaml.safe_dump(facts))
+    return path
+
+
+def test_a_missing_model_is_named_with_the_command_that_gets_it(tmp_path):
+    description = load_hand(published_hand(tmp_path))
+    with pytest.raises(HandError, match=r"some-hands 1\.0.*pip install some-hands.*GEORT_DRAKE_MODELS"):
+        Hand(description)
+
+
+@pytest.mark.parametrize("place", ["package", "some_hands", "some-hands", "."])
+def test_a_model_is_found_in_a_package_or_a_folder_of_the_users(place, tmp_path, monkeypatch):
+    folder = tmp_path / ("some_hands" if place == "package" else place)
+    folder.mkdir(exist_ok=True)
+    (folder / "hand.sdf").write_bytes(find_model(load_hand("allegro_right")).read_bytes())
+    if place == "package":
+        monkeypatch.syspath_prepend(tmp_path)
+        importlib.invalidate_caches()
+    else:
+        monkeypatch.setenv(MODEL_FOLDERS, str(tmp_path))
+    description = load_hand(published_hand(tmp_path))
+    assert find_model(description) == folder / "hand.sdf"
+    assert Hand(description).joint_names == Hand("allegro_right").joint_names
+
+
+def test_another_version_of_a_model_causes_a_warning(tmp_path, monkeypatch):
+    monkeypatch.setenv(MODEL_FOLDERS, str(tmp_path))
+    (tmp_path / "hand.sdf").write_bytes(find_model(load_hand("allegro_right")).read_bytes())
+    with pytest.warns(RuntimeWarning, match="differs from some-hands 1.0"):
+        Hand(published_hand(tmp_path, "0" * 64))
