@@ -21,7 +21,7 @@ from geort_drake.console import run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.hands.hand import Hand
 from geort_drake.people.synthetic.play import synthesize_play
-from geort_drake.retargeting.trained_space import TrainedSpace
+from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import RetargetingSystem
 

@@ -26,7 +26,7 @@ def untrained(form: str, fingers: int = 4, joints: int = 4, seed: int = 0) -> Ml
         arrays[name] *= 50.0  # because fingertips move by centimetres
     arrays["columns"] = np.arange(n)
     names, keypoints = list(FINGERS)[:fingers], list(FINGERS.values())[:fingers]
-    return MlpRetargeter(arrays, names, [f"joint_{j}" for j in range(n)], keypoints, -np.ones(n), np.ones(n))
+    return MlpRetargeter(names, [f"joint_{j}" for j in range(n)], keypoints, -np.ones(n), np.ones(n), arrays)
 
 
 def add_form_option(parser: argparse.ArgumentParser) -> None:

@@ -22,9 +22,8 @@ from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.sender_clock import SenderClock
 from geort_drake.live.session import STEADY_S, EnterKey, SteadyState, play, run_in_real_time
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
-from geort_drake.systems.glove_checks import FROZEN, HELD_LOST, HELD_STALE
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.retargeting_status import LIMITED
+from geort_drake.systems.retargeting_status import FROZEN, HELD_LOST, HELD_STALE, LIMITED
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING, RetargetingStatus, RetargetingSystem
 
 PLAY = synthesize_play(4, duration_s=6.0, rate_hz=100.0)

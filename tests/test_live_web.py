@@ -18,7 +18,7 @@ from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.live.web.operator_station import is_fist
 from geort_drake.live.web.virtual_hands import RecordedHand
 from geort_drake.people.keypoints import bone_lengths
-from geort_drake.systems.glove_checks import HELD_CLOCK, HELD_LOST, HELD_STALE
+from geort_drake.systems.retargeting_status import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING
 
 

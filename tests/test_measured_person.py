@@ -11,10 +11,17 @@ from geort_drake import GloveReplay, Recording, RetargetingSystem, add_hand_mode
 from geort_drake.errors import GeortError
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.people.synthetic.population import sample_person
-from geort_drake.systems.glove_checks import HELD_LOST, HELD_NOT_FINITE, GloveChecks
+from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.person import MEASURED_FRAMES, PERSON_FIELDS, PersonMap
-from geort_drake.systems.retargeting_status import FOLLOWED, HELD_OTHER_PERSON, MEASURING, TRACKING
+from geort_drake.systems.retargeting_status import (
+    FOLLOWED,
+    HELD_LOST,
+    HELD_NOT_FINITE,
+    HELD_OTHER_PERSON,
+    MEASURING,
+    TRACKING,
+)
 
 RETARGET = load_retargeter("allegro_right")
 PLAY = synthesize_play(seed=1, duration_s=12.0, rate_hz=100.0).p_HK.astype(float)

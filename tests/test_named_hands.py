@@ -15,7 +15,7 @@ from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.resources import hand_names, models_dir
 from geort_drake.retargeting.store import shipped_maps
-from geort_drake.retargeting.universal.train import MIRROR_TOLERANCE_M, match_joints
+from geort_drake.retargeting.universal.mirror import MIRROR_TOLERANCE_M, match_joints
 
 SHARED_WUJI = Path(__file__).resolve().parents[2] / "shared" / "hands" / "wuji"
 # The orders in which the makers' software takes angles, by the joints' names.

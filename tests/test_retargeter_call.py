@@ -33,7 +33,7 @@ def retargeter(fingers: int, hidden: int, shared: int, joints: int, scale: float
     limits = lower, lower + rng.uniform(0.1, 3.0, n)
     arrays["columns"] = columns
     tips = [TIP_KEYPOINT[name] for name in FINGER_NAMES[:fingers]]
-    return MlpRetargeter(arrays, FINGER_NAMES[:fingers], [f"joint_{j}" for j in range(n)], tips, *limits)
+    return MlpRetargeter(FINGER_NAMES[:fingers], [f"joint_{j}" for j in range(n)], tips, *limits, arrays)
 
 
 @pytest.fixture(params=["independent", "coupled"])

@@ -9,9 +9,9 @@ from faults.sound import TIPS, map_file, play, smooth_arrays
 from geort_drake import load_retargeter
 from geort_drake.errors import CheckpointError, GeortError
 from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.retargeting.mlp import MlpRetargeter
 from geort_drake.retargeting.store import shipped_maps
-from geort_drake.retargeting.trained_space import TrainedSpace
 
 
 def test_a_file_gives_the_map_back(tmp_path, allegro, rng):
@@ -21,7 +21,7 @@ def test_a_file_gives_the_map_back(tmp_path, allegro, rng):
     p, loaded = rng.normal(0.05, 0.05, (50, 4, 3)), load_retargeter(path, allegro)
     names = allegro.finger_names, allegro.joint_names
     arrays = {name: array.astype(np.float32) for name, array in smooth_arrays().items()}
-    saved = MlpRetargeter(arrays, *names, TIPS, allegro.lower, allegro.upper)
+    saved = MlpRetargeter(*names, TIPS, allegro.lower, allegro.upper, arrays)
     np.testing.assert_array_equal(loaded(p), saved(p))
     assert (list(loaded.finger_names), list(loaded.joint_names)) == tuple(map(list, names))
     assert loaded.robot_hands == ("allegro_right",)

@@ -12,7 +12,7 @@ from loop_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 from system_bench import Bench
 
-from geort_drake.retargeting.trained_space import TrainedSpace
+from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.systems import glove_checks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import EASING, LIMITED, OUTSIDE, SETTLING, TRACKING

@@ -17,16 +17,13 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
-from geort_drake.retargeting.universal.losses import DistalDirections, UniversalSettings
+from geort_drake.retargeting.universal.batches import TrainingPeople, tips_and_directions
+from geort_drake.retargeting.universal.losses import DistalDirections
+from geort_drake.retargeting.universal.mirror import mirrored_map
 from geort_drake.retargeting.universal.network import UniversalNetwork
 from geort_drake.retargeting.universal.person import hand_shape
-from geort_drake.retargeting.universal.train import (
-    TrainingPeople,
-    affine_size,
-    mirrored_map,
-    tips_and_directions,
-    train_universal,
-)
+from geort_drake.retargeting.universal.settings import UniversalSettings
+from geort_drake.retargeting.universal.train import affine_size, train_universal
 
 QUICK = UniversalSettings(steps=150, people=12, play_s=8.0, robot_samples=4000, people_per_batch=8)
 UNSEEN = 9_000  # seed of people whom no training has seen
@@ -72,7 +69,7 @@ def test_a_persons_map_is_the_network_with_their_shape(fingers):
             parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))
     network = network.double()
     limits = kinematics.lower, kinematics.upper
-    retarget = UniversalRetargeter(network.arrays(), fingers, kinematics.joint_names, None, *limits)
+    retarget = UniversalRetargeter(fingers, kinematics.joint_names, None, *limits, network.arrays())
     for frames in (play(0), 1.3 * play(1)[:5]):
         tips = frames[::97][:, retarget.human_keypoints]
         shape = torch.tensor(retarget.shape(frames))[None].double()
@@ -147,9 +144,9 @@ def test_weights_that_do_not_fit_are_refused():
         ({"weight1": np.full(retarget.arrays["weight1"].shape, np.nan)}, "'weight1' must be finite"),
     ):
         with pytest.raises(CheckpointError, match=message):
-            UniversalRetargeter({**retarget.arrays, **change}, *names)
+            UniversalRetargeter(*names, {**retarget.arrays, **change})
     with pytest.raises(CheckpointError, match="'thumb' is missing"):
-        UniversalRetargeter(retarget.arrays, ("index", "middle", "ring", "little"), *names[1:])
+        UniversalRetargeter(("index", "middle", "ring", "little"), *names[1:], retarget.arrays)
 
 
 def test_the_size_is_that_of_the_affine_fit():

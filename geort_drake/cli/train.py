@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from geort_drake.hands.hand import Hand
-    from geort_drake.retargeting.universal.losses import UniversalSettings
     from geort_drake.retargeting.universal.person import UniversalRetargeter
+    from geort_drake.retargeting.universal.settings import UniversalSettings
 
 
 @options
@@ -134,8 +134,8 @@ class Train(Command):
         from geort_drake.console import print_table, say
         from geort_drake.errors import GeortError
         from geort_drake.people.synthetic.population import sample_population
-        from geort_drake.retargeting.universal.losses import UniversalSettings
         from geort_drake.retargeting.universal.person import UniversalRetargeter
+        from geort_drake.retargeting.universal.settings import UniversalSettings
         from geort_drake.settings import parse_settings
 
         if self.recording is not None:
@@ -183,7 +183,8 @@ class Train(Command):
         from geort_drake.console import progress_bar
         from geort_drake.hands.collision_shapes import canonical_shapes
         from geort_drake.hands.hand import canonical_kinematics
-        from geort_drake.retargeting.universal.train import mirrored_map, train_universal
+        from geort_drake.retargeting.universal.mirror import mirrored_map
+        from geort_drake.retargeting.universal.train import train_universal
 
         hand = Hand(load_hand(name))
         kinematics, shapes = canonical_kinematics(hand), canonical_shapes(hand)

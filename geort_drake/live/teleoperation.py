@@ -17,8 +17,9 @@ from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.systems.action_correction import ActionCorrection
-from geort_drake.systems.glove_checks import HELD_LOST, GloveChecks
+from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.retargeting_status import HELD_LOST
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.wrist_to_arm import WristChecks, WristToArm
 

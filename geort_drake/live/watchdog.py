@@ -7,10 +7,9 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
 
-from geort_drake.systems.glove_checks import FROZEN
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.python_system import PythonSystem
-from geort_drake.systems.retargeting_status import FOLLOWED, RetargetingStatus
+from geort_drake.systems.retargeting_status import FOLLOWED, FROZEN, RetargetingStatus
 
 # Delay of the watchdog's update after the retargeting's, s; commands are sent even later.
 AFTER = 1e-4

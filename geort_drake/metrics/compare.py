@@ -22,7 +22,6 @@ from geort_drake.hands.hand import Hand
 from geort_drake.methods import PYTHON_SUFFIX, resolve
 from geort_drake.metrics.metrics import (
     MIN_FRAMES,
-    RobotSpace,
     adapted,
     complete_hands,
     distal_phalanges,
@@ -146,7 +145,7 @@ class Comparison:
     ):
         self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
         self.frame_limit = frame_limit
-        self._spaces: dict[int, RobotSpace] = {}
+        self._spaces: dict[int, list[np.ndarray]] = {}
 
     @property
     def cases_per_method(self) -> int:
@@ -182,8 +181,8 @@ class Comparison:
                     ]
         return rows
 
-    def space(self, seed: int) -> RobotSpace:
-        """Returns the C-space of the hand, sampled with this seed."""
+    def space(self, seed: int) -> list[np.ndarray]:
+        """Returns the C-space of the hand, sampled with this seed; see `robot_space`."""
         if seed not in self._spaces:
             self._spaces[seed] = robot_space(self.hand, seed)
         return self._spaces[seed]

@@ -78,24 +78,14 @@ def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
     return Pinches(pair, distances[np.arange(len(tips)), nearest])
 
 
-@dataclass(frozen=True)
-class RobotSpace:
-    """The robot's C-space: the reach of its fingertips, from uniform samples of the joint angles.
+def robot_space(hand: Hand, seed: int = 0) -> list[np.ndarray]:
+    """Samples the robot's C-space, the reach of its fingertips, which does not depend on the method.
 
-    Attributes:
-        p_BF: (N, F, 3) fingertips of all samples, m; mirrored for a left hand, as human hands are right.
-        reachable: F arrays (M, 3) of the centres of the 3 mm voxels that samples hit, m.
+    Returns:
+        For each finger the centres (M, 3) in B, m, of the 3 mm voxels that its tip hits at uniform joint
+        angles; mirrored for a left hand, as human hands are right.
     """
-
-    p_BF: np.ndarray
-    reachable: list[np.ndarray]
-
-
-def robot_space(hand: Hand, seed: int = 0) -> RobotSpace:
-    """Samples the C-space of a hand, which does not depend on the method."""
-    q = hand.sample(ROBOT_SAMPLES, seed)
-    p_BF = fingertips_of(hand)(q)
-    return RobotSpace(p_BF, robot_voxels(p_BF))
+    return robot_voxels(fingertips_of(hand)(hand.sample(ROBOT_SAMPLES, seed)))
 
 
 def evaluate(retarget: Callable, hand: Hand, recording: Recording, seed: int = 0) -> dict:
@@ -148,7 +138,7 @@ def evaluate_frames(
     frames: np.ndarray,
     rate_hz: float,
     seed: int = 0,
-    space: RobotSpace | None = None,
+    space: Sequence[np.ndarray] | None = None,
     settled: Callable | None = None,
     distal: np.ndarray | None = None,
 ) -> tuple[dict, np.ndarray]:
@@ -199,8 +189,8 @@ def evaluate_frames(
         "engagement": engagement(retarget, fingertips, frames, tips, rate_hz),
     }
     if space is not None:
-        figures["coverage"] = coverage(space.reachable, list(np.moveaxis(p_BF, 1, 0)))
-        figures["coverage_context_averaged"] = coverage(space.reachable, context_averaged(g, frames))
+        figures["coverage"] = coverage(space, list(np.moveaxis(p_BF, 1, 0)))
+        figures["coverage_context_averaged"] = coverage(space, context_averaged(g, frames))
     median, p99 = np.percentile(call_times(retarget, frames), (50, 99))
     figures["latency_us"] = {"median": 1e6 * float(median), "p99": 1e6 * float(p99)}
     return figures, p_BF

@@ -12,7 +12,7 @@ from safetensors.numpy import save
 from geort_drake.errors import CheckpointError, GeortError, UnknownNameError
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
-from geort_drake.retargeting.trained_space import TrainedSpace
+from geort_drake.retargeting.clouds import TrainedSpace
 
 MAX_REACH = 0.5  # m; no fingertip is farther from its wrist
 # Of files, see `geort_drake.retargeting.store`.
@@ -48,11 +48,17 @@ class Retargeter(ABC):
         human_keypoints: Sequence[int] | None,
         lower: np.ndarray,
         upper: np.ndarray,
+        arrays: Mapping[str, np.ndarray] | None = None,
     ):
         """Without `human_keypoints`, the names of the fingers determine them.
 
+        Args:
+            finger_names, joint_names, human_keypoints, lower, upper: see the attributes.
+            arrays: the weights; None for a method that has none.
+
         Raises:
             UnknownNameError: a finger's name has no keypoint.
+            CheckpointError: an array is missing, has a wrong shape or is not finite.
         """
         if human_keypoints is None:
             for name in finger_names:
@@ -65,7 +71,12 @@ class Retargeter(ABC):
         self.robot_hands: tuple[str, ...] = ()
         self.trained_space: TrainedSpace | None = None
         self.info: dict[str, Any] = {}
-        self.arrays: Mapping[str, np.ndarray] = {}
+        self.arrays: Mapping[str, np.ndarray] = arrays or {}
+        if arrays is not None:
+            self._prepare(arrays)
+
+    def _prepare(self, arrays: Mapping[str, np.ndarray]) -> None:  # noqa: B027 (methods without weights)
+        """Checks the weights and converts them for `_angles`; raises CheckpointError."""
 
     @abstractmethod
     def _angles(self, p_HF: np.ndarray) -> np.ndarray:

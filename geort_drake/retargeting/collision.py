@@ -6,64 +6,48 @@ the first box to the second shape's centre. The gap is negative if and only if t
 one is a sphere, and never more than the true distance. A pair may have a correction, which is added.
 """
 
-import copy
-
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 
 from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
-from geort_drake.retargeting.rotations import cross_matrices
+from geort_drake.retargeting.kinematics import JointFrames, add_buffers
 
-__all__ = ["CollisionGaps", "CollisionShapes", "box_gap"]
 _CHUNK = 1000
 
 
-class CollisionGaps:
-    """Computes gaps between the shapes of a hand at joint angles, in torch with float32.
+class CollisionGaps(torch.nn.Module):
+    """Computes gaps between the shapes of a hand at joint angles, in float32.
 
     Args:
         kinematics, shapes: kinematics and collision shapes of the hand.
+
+    Attributes:
+        pairs: (P, 2) numbers of the shapes whose gaps are computed.
     """
 
+    R_JS: torch.Tensor
+    p_JS: torch.Tensor
+    half_edges: torch.Tensor
+    radius: torch.Tensor
+    correction: torch.Tensor
+    pairs: torch.Tensor
+    reach: torch.Tensor
+
     def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes):
-        def constant(array: ArrayLike) -> torch.Tensor:
-            return torch.tensor(np.asarray(array), dtype=torch.float32)
-
-        kinematics, coupling = kinematics.uncoupled()
-        self._coupling = constant(coupling.T) if coupling.shape[0] > coupling.shape[1] else None
-        chains = kinematics.fingers
-        k = max(len(chain.joint_names) for chain in chains)
-        X = np.tile(np.eye(4), (len(chains), k, 1, 1))
-        axes, index = np.zeros((len(chains), k, 3)), np.zeros((len(chains), k), dtype=int)
-        for row, chain in enumerate(chains):
-            count = len(chain.joint_names)
-            # A missing joint has no axis, so it is fixed.
-            X[row, :count], axes[row, :count] = chain.X_PJ, chain.axes
-            index[row, :count] = chain.joint_indices
-        K = cross_matrices(axes)
-        self._offset, self._turn = constant(X[..., :3, 3]), constant(X[..., :3, :3])
-        self._K, self._K2 = constant(K), constant(K @ K)
-        self._index = torch.tensor(index)
-        # Frames are numbered by finger, base to tip; the last one is the hand base.
-        number = {-1: len(chains) * k}
-        for row, chain in enumerate(chains):
-            number.update({joint: row * k + j for j, joint in enumerate(chain.joint_indices)})
-        frames = [number[int(joint)] for joint in shapes.joint]
-        self._frame = torch.tensor(frames, dtype=torch.long)
-        self._R_JS, self._p_JS = constant(shapes.X_JS[:, :3, :3]), constant(shapes.X_JS[:, :3, 3])
-        self._half, self._radius = constant(shapes.half), constant(shapes.radius)
-        self._reach = torch.linalg.vector_norm(self._half, dim=1) + self._radius
-        self.pairs = torch.tensor(np.asarray(shapes.pairs, dtype=int).reshape(-1, 2))
-        self._correction = constant(np.broadcast_to(shapes.correction, len(self.pairs)))
-
-    def to(self, device: torch.device) -> "CollisionGaps":
-        """Returns a copy on another device."""
-        moved = copy.copy(self)
-        for name, value in vars(self).items():
-            if isinstance(value, torch.Tensor):
-                setattr(moved, name, value.to(device))
-        return moved
+        super().__init__()
+        self._joint_frames = JointFrames(kinematics)
+        self._frame = [self._joint_frames.number[int(joint)] for joint in shapes.joint]
+        pairs = np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)
+        add_buffers(
+            self,
+            R_JS=shapes.X_JS[:, :3, :3],
+            p_JS=shapes.X_JS[:, :3, 3],
+            half_edges=shapes.half,
+            radius=shapes.radius,
+            correction=np.broadcast_to(shapes.correction, len(pairs)),
+        )
+        self.register_buffer("pairs", torch.tensor(pairs))
+        self.register_buffer("reach", torch.linalg.vector_norm(self.half_edges, dim=1) + self.radius)
 
     def keep_pairs_that_meet(self, q: torch.Tensor, margin: float) -> None:
         """Drops pairs that never come closer than `margin`, m, at joint angles q (N, n), rad."""
@@ -72,32 +56,19 @@ class CollisionGaps:
             for part in q.split(_CHUNK):
                 _, pair, gap = self.near(part, margin)
                 met[pair[gap < margin]] = True
-        self.pairs, self._correction = self.pairs[met], self._correction[met]
+        self.pairs, self.correction = self.pairs[met], self.correction[met]
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Computes R_BS (N, S, 3, 3) and p_BS (N, S, 3), m, of the shapes at joint angles q (N, n), rad."""
-        N, (fingers, k) = len(q), self._index.shape
-        if self._coupling is not None:
-            q = q @ self._coupling
-        theta = q[:, self._index.reshape(-1)].reshape(N, fingers, k, 1, 1)
-        eye = torch.eye(3, device=q.device)
-        turned = self._turn @ (eye + torch.sin(theta) * self._K + (1 - torch.cos(theta)) * self._K2)
-        R, p = [turned[:, :, 0]], [self._offset[:, 0].expand(N, -1, -1)]
-        for j in range(1, k):
-            p.append(p[-1] + (R[-1] @ self._offset[:, j, :, None])[..., 0])
-            R.append(R[-1] @ turned[:, :, j])
-        base = eye.expand(N, 1, 3, 3)
-        R_BJ = torch.cat([torch.stack(R, dim=2).reshape(N, -1, 3, 3), base], dim=1)[:, self._frame]
-        p_BJ = torch.cat([torch.stack(p, dim=2).reshape(N, -1, 3), q.new_zeros(N, 1, 3)], dim=1)
-        p_BJ = p_BJ[:, self._frame]
-        return R_BJ @ self._R_JS, p_BJ + (R_BJ @ self._p_JS[..., None])[..., 0]
+        R_BJ, p_BJ = (each[:, self._frame] for each in self._joint_frames(q))
+        return R_BJ @ self.R_JS, p_BJ + (R_BJ @ self.p_JS[..., None])[..., 0]
 
     def near(self, q: torch.Tensor, margin: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Finds all pairs that may be closer than `margin`, m; returns rows of q, pairs, gaps (M,)."""
         R, p = self.poses(q)
         a, b = self.pairs.T
         with torch.no_grad():
-            reach = self._reach[a] + self._reach[b] + margin - self._correction
+            reach = self.reach[a] + self.reach[b] + margin - self.correction
             row, pair = torch.nonzero((p[:, a] - p[:, b]).square().sum(-1) < reach**2, as_tuple=True)
         return row, pair, self._gaps(R, p, row, pair)
 
@@ -132,8 +103,8 @@ class CollisionGaps:
         """Returns the gaps (M,), m, of the pairs numbered `pair` at the poses of `row`."""
         a, b = self.pairs[pair].T
         R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
-        gap = box_gap(R_A, R_B, p_AB, self._half[a], self._half[b])
-        return gap - self._radius[a] - self._radius[b] + self._correction[pair]
+        gap = box_gap(R_A, R_B, p_AB, self.half_edges[a], self.half_edges[b])
+        return gap - self.radius[a] - self.radius[b] + self.correction[pair]
 
 
 def box_gap(

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 from torch import nn
 from torch.nn.functional import binary_cross_entropy_with_logits, cosine_similarity, silu, softplus
 
@@ -24,7 +23,7 @@ from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.base import keypoints_of, kinematics_of
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.descent import Losses, Report, device_of, minimise, one_thread
-from geort_drake.retargeting.kinematics import fingertips
+from geort_drake.retargeting.kinematics import add_buffers, fingertips
 from geort_drake.retargeting.mlp import MlpRetargeter
 
 Tensor = torch.Tensor
@@ -91,7 +90,7 @@ class RetargetingModel(nn.Module):
             for k, joint in enumerate(finger.joint_indices)
         }
         self.columns = [column[joint] for joint in range(len(hand.joint_names))]
-        _add_buffers(
+        add_buffers(
             self,
             mean=np.stack([cloud.mean(0) for cloud in clouds])[:, None],
             scale=np.maximum(np.stack([cloud.std(0) for cloud in clouds]), 1e-3)[:, None],
@@ -117,7 +116,7 @@ class RetargetingModel(nn.Module):
         layers |= {"columns": np.array(self.columns)}
         robot = kinematics_of(hand)
         names, limits = (robot.finger_names, robot.joint_names), (robot.lower, robot.upper)
-        retargeter = MlpRetargeter(layers, *names, keypoints_of(hand), *limits)
+        retargeter = MlpRetargeter(*names, keypoints_of(hand), *limits, layers)
         retargeter.info = {"history": history}
         return retargeter
 
@@ -138,7 +137,7 @@ class NeuralKinematics(nn.Module):
         # A joint that a finger lacks reads joint 0 and counts zero.
         spare = [widest - len(finger.joint_indices) for finger in hand.fingers]
         self.indices = [[*f.joint_indices, *[0] * k] for f, k in zip(hand.fingers, spare, strict=True)]
-        _add_buffers(
+        add_buffers(
             self,
             used=np.array([[1.0] * (widest - k) + [0.0] * k for k in spare]),
             centre=0.5 * (hand.lower + hand.upper),
@@ -161,7 +160,7 @@ class CollisionClassifier(nn.Module):
 
     def __init__(self, hand: HandKinematics, hidden: int, generator: torch.Generator):
         super().__init__()
-        _add_buffers(self, centre=0.5 * (hand.lower + hand.upper), half_range=0.5 * (hand.upper - hand.lower))
+        add_buffers(self, centre=0.5 * (hand.lower + hand.upper), half_range=0.5 * (hand.upper - hand.lower))
         self.mlp = FingerMlps(1, (len(hand.joint_names), hidden, hidden, 1), generator)
 
     def forward(self, q: Tensor) -> Tensor:
@@ -286,8 +285,3 @@ def pretrain(
 
     minimise(model, losses, config.pretraining_steps, config.learning_rate)
     model.requires_grad_(False)
-
-
-def _add_buffers(module: nn.Module, **arrays: ArrayLike) -> None:
-    for name, array in arrays.items():
-        module.register_buffer(name, torch.as_tensor(np.asarray(array), dtype=torch.float32))

@@ -1,8 +1,8 @@
-"""Exact forward kinematics of a hand's fingertips in torch, batched and differentiable.
+"""Exact forward kinematics of a hand in torch, batched and differentiable: fingertips, and joint frames.
 
 Fingers are serial chains of revolute joints from the hand base B; joints may follow others of the same
-finger. Each chain transforms its tip point from joint to joint towards the base, so a joint costs one product
-of a constant 9×3 matrix with a vector.
+finger. For the fingertips, each chain transforms its tip point from joint to joint towards the base, so a
+joint costs one product of a constant 9×3 matrix with a vector.
 """
 
 from collections.abc import Sequence
@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from geort_drake.hands.kinematics import FingerChain, HandKinematics
-from geort_drake.retargeting.rotations import cross_matrices
-
-__all__ = ["FingerChain", "HandKinematics", "fingertips"]
+from geort_drake.retargeting.numpy_kinematics import StackedChains
 
 
 def fingertips(kinematics: HandKinematics, q: torch.Tensor) -> torch.Tensor:
@@ -36,26 +35,23 @@ class _Chains:
     """Constants of all fingers in a batch; shorter fingers get fixed joints at their base."""
 
     def __init__(self, fingers: Sequence[FingerChain], dtype: torch.dtype, device: torch.device):
-        m, k = (max(finger.coupling.shape[axis] for finger in fingers) for axis in (0, 1))
-        X, axes = np.tile(np.eye(4), (len(fingers), m, 1, 1)), np.zeros((len(fingers), m, 3))
+        R, p_PJ, K, p_tip, spare = StackedChains.of(fingers)
+        m, k = R.shape[1], max(len(finger.joint_indices) for finger in fingers)
         coupling, indices = np.zeros((len(fingers), k, m)), np.zeros((len(fingers), k), dtype=int)
         for row, finger in enumerate(fingers):
-            own, free = m - len(finger.axes), len(finger.joint_indices)
-            X[row, own:], axes[row, own:] = finger.X_PJ, finger.axes
-            coupling[row, :free, own:] = finger.coupling.T
+            free = len(finger.joint_indices)
+            coupling[row, :free, spare[row] :] = finger.coupling.T
             indices[row, :free] = finger.joint_indices
-        K, R = cross_matrices(axes), X[..., :3, :3]
-        # Rodrigues: R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K²
-        stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (F, m, 9, 3)
+        stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (F, m, 9, 3), see `StackedChains`
 
         def constant(array: np.ndarray) -> torch.Tensor:
             return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
 
         self.matrices = constant(np.moveaxis(stacked, 1, 0))
-        self.offsets = constant(np.moveaxis(X[:, :, :3, 3:], 1, 0))
+        self.offsets = constant(np.moveaxis(p_PJ, 1, 0))
         every_joint_free = m == k and (coupling == np.eye(k)).all()
         self.coupling = None if every_joint_free else constant(coupling)
-        self.p_tip = constant(np.stack([finger.p_tip for finger in fingers])[:, :, None])
+        self.p_tip = constant(p_tip)
         self.indices = torch.tensor(indices.ravel(), device=device)
 
     def points(self, q: torch.Tensor) -> torch.Tensor:
@@ -106,3 +102,53 @@ class _Tips(torch.autograd.Function):
         by_sine, by_cosine = torch.stack(slopes).unbind(2)
         slope = by_sine * cosine[:, :, 0] + by_cosine * sine[:, :, 0]
         return slope.permute(1, 2, 0), None, None, None
+
+
+class JointFrames(torch.nn.Module):
+    """Computes the poses of all joints' moving frames, in float32.
+
+    Attributes:
+        number: index of a joint, among those of `HandKinematics.uncoupled()`, → number of its frame in the
+            results; −1 → that of the base B.
+    """
+
+    turn: torch.Tensor
+    offset: torch.Tensor
+    K: torch.Tensor
+    K2: torch.Tensor
+    coupling: torch.Tensor
+
+    def __init__(self, kinematics: HandKinematics):
+        super().__init__()
+        free, coupling = kinematics.uncoupled()
+        R, p_PJ, K, _, spare = StackedChains.of(free.fingers)
+        add_buffers(self, turn=R, offset=p_PJ[..., 0], K=K, K2=K @ K, coupling=coupling.T)
+        self._has_followers = coupling.shape[0] > coupling.shape[1]
+        rows = [[0] * fixed + [*f.joint_indices] for f, fixed in zip(free.fingers, spare, strict=True)]
+        self._joints = [joint for row in rows for joint in row]
+        self.number = {-1: len(self._joints)}
+        for row, (finger, fixed) in enumerate(zip(free.fingers, spare, strict=True)):
+            first = row * R.shape[1] + fixed
+            self.number |= {joint: first + j for j, joint in enumerate(finger.joint_indices)}
+
+    def forward(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Returns R_BJ (N, M, 3, 3) and p_BJ (N, M, 3), m, of M frames at joint angles q (N, n), rad."""
+        N, (fingers, k) = len(q), self.turn.shape[:2]
+        if self._has_followers:
+            q = q @ self.coupling
+        theta = q[:, self._joints].reshape(N, fingers, k, 1, 1)
+        eye = torch.eye(3, device=q.device)
+        turned = self.turn @ (eye + torch.sin(theta) * self.K + (1 - torch.cos(theta)) * self.K2)
+        R, p = [turned[:, :, 0]], [self.offset[:, 0].expand(N, -1, -1)]
+        for j in range(1, k):
+            p.append(p[-1] + (R[-1] @ self.offset[:, j, :, None])[..., 0])
+            R.append(R[-1] @ turned[:, :, j])
+        base = eye.expand(N, 1, 3, 3)
+        R_BJ = torch.cat([torch.stack(R, dim=2).reshape(N, -1, 3, 3), base], dim=1)
+        return R_BJ, torch.cat([torch.stack(p, dim=2).reshape(N, -1, 3), q.new_zeros(N, 1, 3)], dim=1)
+
+
+def add_buffers(module: torch.nn.Module, **arrays: ArrayLike) -> None:
+    """Adds constants to a module, as float32."""
+    for name, array in arrays.items():
+        module.register_buffer(name, torch.tensor(np.asarray(array), dtype=torch.float32))

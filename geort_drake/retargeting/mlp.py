@@ -1,6 +1,6 @@
 """The trained map in NumPy: a network per finger, and optionally one that sees all fingertips."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -12,34 +12,16 @@ class MlpRetargeter(Retargeter):
     """q = centre + half range · tanh(f_i(x_i) + r(x_1, …, x_F)), with networks of two hidden SiLU layers.
 
     f_i sees the fingertip of finger i, and r, which may be absent, sees all. Stateless and thread-safe.
+
+    The weights are weight0 (F, 3, h), bias0 (F, 1, h), weight1 (F, h, h), bias1 (F, 1, h), weight2 (F, h, k)
+    and bias2 (F, 1, k) of the networks f_i; columns (n,), the number of each joint among their F·k outputs;
+    and of the network r, if there is one: residual_weight0 (3F, r), residual_bias0 (r,), residual_weight1
+    (r, r), residual_bias1 (r,), residual_weight2 (r, F·k) and residual_bias2 (F·k,).
     """
 
     kind = "mlp"
 
-    def __init__(
-        self,
-        arrays: Mapping[str, np.ndarray],
-        finger_names: Sequence[str],
-        joint_names: Sequence[str],
-        human_keypoints: Sequence[int] | None,
-        lower: np.ndarray,
-        upper: np.ndarray,
-    ):
-        """Builds the map from its weights.
-
-        Args:
-            arrays: weight0 (F, 3, h), bias0 (F, 1, h), weight1 (F, h, h), bias1 (F, 1, h),
-                weight2 (F, h, k), bias2 (F, 1, k) of the networks f_i; columns (n,), the number of each joint
-                among their F·k outputs; and of the network r, if there is one: residual_weight0 (3F, r),
-                residual_bias0 (r,), residual_weight1 (r, r), residual_bias1 (r,), residual_weight2 (r, F·k)
-                and residual_bias2 (F·k,).
-            finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`.
-
-        Raises:
-            CheckpointError: an array is missing, has a wrong shape or is not finite.
-        """
-        super().__init__(finger_names, joint_names, human_keypoints, lower, upper)
-        self.arrays = arrays
+    def _prepare(self, arrays: Mapping[str, np.ndarray]) -> None:
         F = len(self.finger_names)
         h = require_array(arrays, "weight0", (F, 3, -1)).shape[2]
         k = require_array(arrays, "weight2", (F, h, -1)).shape[2]

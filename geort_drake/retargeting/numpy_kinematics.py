@@ -3,13 +3,42 @@
 This is the counterpart of `HandKinematics` for methods that optimise at run time without torch.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
-from geort_drake.hands.kinematics import HandKinematics
-from geort_drake.retargeting.rotations import cross_matrices
+from geort_drake.hands.kinematics import FingerChain, HandKinematics
 
-# Joint limits of many turns are mistakes and could cause overflow.
-MAX_ANGLE = 100.0  # rad
+
+class StackedChains(NamedTuple):
+    """The constants of F fingers as one batch; fingers with fewer than k joints get fixed ones at their base.
+
+    Attributes:
+        R_PJ, p_PJ: (F, k, 3, 3) and (F, k, 3, 1) poses of the joints in their parents, at zero angle, m.
+        K: (F, k, 3, 3) with K x = a × x for the axis a of each joint; zero for a fixed one. By Rodrigues,
+            R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K².
+        p_tip: (F, 3, 1) fingertip points in the last joints' moving frames, m.
+        spare: number of fixed joints of each finger.
+    """
+
+    R_PJ: np.ndarray
+    p_PJ: np.ndarray
+    K: np.ndarray
+    p_tip: np.ndarray
+    spare: list[int]
+
+    @classmethod
+    def of(cls, fingers: Sequence[FingerChain]) -> "StackedChains":
+        k = max(len(finger.axes) for finger in fingers)
+        X, K = np.tile(np.eye(4), (len(fingers), k, 1, 1)), np.zeros((len(fingers), k, 3, 3))
+        spare = [k - len(finger.axes) for finger in fingers]
+        for row, (finger, first) in enumerate(zip(fingers, spare, strict=True)):
+            X[row, first:], (x, y, z) = finger.X_PJ, finger.axes.T
+            K[row, first:, 0, 1], K[row, first:, 0, 2], K[row, first:, 1, 2] = -z, y, -x
+        K -= np.swapaxes(K, -1, -2)
+        p_tip = np.stack([finger.p_tip for finger in fingers])[:, :, None]
+        return cls(X[..., :3, :3], X[..., :3, 3:], K, p_tip, spare)
 
 
 class NumpyKinematics:
@@ -32,22 +61,12 @@ class NumpyKinematics:
         # Angles of all N joints, followers last, per q: (N, n); None without followers.
         n = len(coupling)
         self._coupling = coupling if n > len(self.joint_names) else None
-        fingers, k = len(free.fingers), max(len(finger.joint_indices) for finger in free.fingers)
-        # Shorter fingers get fixed joints at their base, which read the unused angle n.
-        indices = np.full((fingers, k), n)
-        X = np.tile(np.eye(4), (fingers, k, 1, 1))
-        axes = np.zeros((fingers, k, 3))
-        for f, finger in enumerate(free.fingers):
-            own = slice(k - len(finger.joint_indices), k)
-            indices[f, own], X[f, own], axes[f, own] = finger.joint_indices, finger.X_PJ, finger.axes
-        K = cross_matrices(axes)
-        # Rodrigues: R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K²
-        self._R = X[..., :3, :3]
+        self._R, self._offset, K, self._p_tip, spare = StackedChains.of(free.fingers)
         self._RK = self._R @ K
         self._RKK = self._RK @ K
-        self._offset = X[..., :3, 3:]
-        self._p_tip = np.stack([finger.p_tip for finger in free.fingers])[:, :, None]
-        self._indices = indices
+        # Fixed joints read the unused angle n.
+        rows = zip(free.fingers, spare, strict=True)
+        self._indices = np.array([[n] * fixed + [*finger.joint_indices] for finger, fixed in rows])
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
         """Computes fingertip points p_BF (N, F, 3), m, at joint angles q (N, n), rad."""

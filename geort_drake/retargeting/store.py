@@ -24,8 +24,8 @@ from geort_drake.errors import CheckpointError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.base import FORMAT, HEADER, TRAINED_POINTS, Retargeter
+from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.retargeting.mlp import MlpRetargeter
-from geort_drake.retargeting.trained_space import TrainedSpace
 from geort_drake.retargeting.universal import UniversalRetargeter
 
 SUFFIX = ".safetensors"
@@ -68,7 +68,7 @@ def load_retargeter(source: str | os.PathLike, hand: RobotHand | None = None) ->
         points = arrays.pop(TRAINED_POINTS, None)
         names = header["finger_names"], header["joint_names"]
         limits = np.array(header["lower"]), np.array(header["upper"])
-        retargeter = _KINDS[header["kind"]](arrays, *names, header["human_keypoints"], *limits)
+        retargeter = _KINDS[header["kind"]](*names, header["human_keypoints"], *limits, arrays)
         if points is not None:
             retargeter.trained_space = TrainedSpace(points, header["human_keypoints"])
     except CheckpointError as error:

@@ -25,9 +25,8 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.resources import cache_dir
 from geort_drake.retargeting import DEFAULT_METHOD, find_method
 from geort_drake.retargeting.base import Retargeter
-from geort_drake.retargeting.clouds import voxel_thinned
+from geort_drake.retargeting.clouds import TrainedSpace, voxel_thinned
 from geort_drake.retargeting.store import SUFFIX, load_retargeter
-from geort_drake.retargeting.trained_space import TrainedSpace
 from geort_drake.settings import check_names
 from geort_drake.versions import git_state, versions
 

@@ -6,16 +6,15 @@ import math
 import numpy as np
 
 from geort_drake.settings import require_numbers
-
-# Reasons why the input is not followed; states of `RetargetingSystem`.
-HELD_LOST = "held: the glove lost the hand"
-HELD_NOT_FINITE = "held: a keypoint or a joint target is not finite"
-HELD_OUT_OF_RANGE = "held: a keypoint is farther from the wrist than a hand reaches"
-HELD_STALE = "held: no newer keypoints arrived in time"
-HELD_CLOCK = "held: the glove's clock ran backwards"
-HELD_JUMPED = "held: a keypoint moved faster than a hand can"
-# Frozen input is still followed; the motion after it is eased.
-FROZEN = "frozen: the keypoints have not changed for too long"
+from geort_drake.systems.retargeting_status import (
+    FROZEN,
+    HELD_CLOCK,
+    HELD_JUMPED,
+    HELD_LOST,
+    HELD_NOT_FINITE,
+    HELD_OUT_OF_RANGE,
+    HELD_STALE,
+)
 
 # s; the allowed jump grows with the time between frames, up to this gap, the longest of common gloves.
 _MAX_GAP = 0.04

@@ -1,18 +1,7 @@
-"""States of `RetargetingSystem`."""
+"""States of `RetargetingSystem`: what it follows, and why it holds."""
 
-import dataclasses as dc
 import math
-
-from geort_drake.systems.glove_checks import (
-    FROZEN,
-    HELD_CLOCK,
-    HELD_JUMPED,
-    HELD_LOST,
-    HELD_NOT_FINITE,
-    HELD_OUT_OF_RANGE,
-    HELD_STALE,
-)
-from geort_drake.systems.port_values import Immutable
+from typing import NamedTuple
 
 TRACKING = "tracking"
 LIMITED = "limited: a joint is at a limit of its position, speed or acceleration"
@@ -21,6 +10,14 @@ EASING = "easing: the joints catch up at reduced speed after a hold"
 SETTLING = "held: the input has not been good for long enough"
 MEASURING = "held: the person's hand is being measured"
 HELD_OTHER_PERSON = "held: the hand is another person's, for whom the map has not been measured"
+HELD_LOST = "held: the glove lost the hand"
+HELD_NOT_FINITE = "held: a keypoint or a joint target is not finite"
+HELD_OUT_OF_RANGE = "held: a keypoint is farther from the wrist than a hand reaches"
+HELD_STALE = "held: no newer keypoints arrived in time"
+HELD_CLOCK = "held: the glove's clock ran backwards"
+HELD_JUMPED = "held: a keypoint moved faster than a hand can"
+# Frozen input is still followed; the motion after it is eased.
+FROZEN = "frozen: the keypoints have not changed for too long"
 FOLLOWED = (TRACKING, LIMITED, OUTSIDE, EASING)
 STATES = (
     *FOLLOWED,
@@ -37,8 +34,7 @@ STATES = (
 )
 
 
-@dc.dataclass(frozen=True)
-class RetargetingStatus(Immutable):
+class RetargetingStatus(NamedTuple):
     """How the system reacts to the present input, and since when.
 
     Attributes:

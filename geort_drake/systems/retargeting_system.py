@@ -12,19 +12,15 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import GeortError, HandError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
-from geort_drake.systems.glove_checks import (
-    FROZEN,
-    GLOVE_FIELDS,
-    HELD_NOT_FINITE,
-    GloveChecks,
-    find_fault,
-)
+from geort_drake.systems.glove_checks import GLOVE_FIELDS, GloveChecks, find_fault
 from geort_drake.systems.joint_limits import DEFAULT_SPEED, JointLimits, actuated_joints
 from geort_drake.systems.person import PERSON_FIELDS, PersonMap
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import (
     EASING,
     FOLLOWED,
+    FROZEN,
+    HELD_NOT_FINITE,
     HELD_OTHER_PERSON,
     LIMITED,
     MEASURING,

@@ -26,7 +26,7 @@ from pydrake.systems.primitives import BusCreator, ConstantVectorSource
 
 from geort_drake.settings import require_numbers
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.port_values import Immutable, pose_to_vector
+from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.python_system import Freeable, PythonSystem
 
 WRIST_JUMPED = "held: the wrist moved faster than a wrist can"
@@ -131,14 +131,6 @@ class WristChecks(PythonSystem):
         output.set_value(self._state(context))
 
 
-@dc.dataclass(frozen=True)
-class _Engagement(Immutable):
-    """Poses of wrist and hand when the clutch engaged."""
-
-    X_WH: RigidTransform
-    X_WB: RigidTransform
-
-
 class Clutch(PythonSystem):
     """Applies the wrist's motion since the clutch engaged to the robot hand.
 
@@ -161,6 +153,7 @@ class Clutch(PythonSystem):
         self._valid = self.DeclareVectorInputPort("valid", 1)
         self._commanded = self.DeclareAbstractInputPort("commanded_pose", pose)
         self._target = self.DeclareAbstractState(AbstractValue.Make(X_WB_start))
+        # The poses of wrist and hand when the clutch engaged; None while it is not engaged.
         self._engagement = self.DeclareAbstractState(AbstractValue.Make(None))
         self.DeclareStateOutputPort("hand_pose", self._target)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._update)
@@ -174,12 +167,11 @@ class Clutch(PythonSystem):
             target.set_value(RigidTransform(self._commanded.Eval(context)))
             return EventStatus.Succeeded()
         X_WH = self._wrist.Eval(context)
-        start = engagement.get_value()
-        if start is None:
-            start = _Engagement(RigidTransform(X_WH), RigidTransform(self._commanded.Eval(context)))
-            engagement.set_value(start)
-        p_WB = start.X_WB.translation() + X_WH.translation() - start.X_WH.translation()
-        R_WB = X_WH.rotation() @ start.X_WH.rotation().inverse() @ start.X_WB.rotation()
+        if engagement.get_value() is None:
+            engagement.set_value((RigidTransform(X_WH), RigidTransform(self._commanded.Eval(context))))
+        X_WH_start, X_WB_start = engagement.get_value()
+        p_WB = X_WB_start.translation() + X_WH.translation() - X_WH_start.translation()
+        R_WB = X_WH.rotation() @ X_WH_start.rotation().inverse() @ X_WB_start.rotation()
         target.set_value(RigidTransform(R_WB, p_WB))
         return EventStatus.Succeeded()
 

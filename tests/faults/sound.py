@@ -7,8 +7,8 @@ import numpy as np
 from grasp_setup import allegro
 
 from geort_drake import Recording, synthesize_play
+from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.retargeting.mlp import MlpRetargeter
-from geort_drake.retargeting.trained_space import TrainedSpace
 
 TIPS = (4, 8, 12, 16)
 FINGERS = ("thumb", "index", "middle", "ring")
@@ -40,14 +40,14 @@ def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:
 
 def smooth_retargeter(gain: float = 1.0, tips: tuple = TIPS) -> MlpRetargeter:
     """The map of `smooth_arrays`, for a hand of `JOINTS`."""
-    return MlpRetargeter(smooth_arrays(gain), FINGERS, JOINTS, tips, LOWER, UPPER)
+    return MlpRetargeter(FINGERS, JOINTS, tips, LOWER, UPPER, smooth_arrays(gain))
 
 
 def map_file(folder: Path, name: str = "map.safetensors", **info) -> Path:
     """Writes that map for the Allegro hand, with its trained space; `info` changes what is stored with it."""
     hand = allegro()
     names = hand.finger_names, hand.joint_names
-    retargeter = MlpRetargeter(smooth_arrays(), *names, TIPS, hand.lower, hand.upper)
+    retargeter = MlpRetargeter(*names, TIPS, hand.lower, hand.upper, smooth_arrays())
     retargeter.robot_hands = (hand.description.name,)
     retargeter.trained_space = TrainedSpace.of_recording(play().p_HK[:, list(TIPS)].astype(float), TIPS)
     retargeter.info = {

@@ -13,8 +13,8 @@ from geort_drake.errors import CheckpointError
 from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.base import Retargeter, require_array
+from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.retargeting.mlp import MlpRetargeter
-from geort_drake.retargeting.trained_space import TrainedSpace
 
 MEASURED_FRAMES = 30  # different good frames that measure a hand: 0.3 s of a glove, 1 s of a camera
 PAIR_UNIT = 0.05  # m; unit of the vectors between the thumb's tip and the others
@@ -38,47 +38,25 @@ class UniversalRetargeter(Retargeter):
     """Makes maps from the hands of any person to robot joint angles; needs only NumPy.
 
     A call takes whole hands, and measures the shape of the hand on them.
+
+    The weights are shape_mean, shape_deviation (4F,); shape_weight0 (4F, m), shape_bias0 (m,), shape_weight1
+    (m, m), shape_bias1 (m,); input_mean and input_scale (F, 3) of the inputs; input_weight (m, 12F),
+    input_bias (12F,); modulation_weight (4, F, m, h), modulation_bias (4, F, h); residual_modulation_weight
+    (2, m, r), residual_modulation_bias (2, r); and those of `MlpRetargeter`, whose residual_weight0 is
+    (3F + 3 (F − 1), r). One finger must be the thumb.
     """
 
     kind = "universal"
 
-    def __init__(
-        self,
-        arrays: Mapping[str, np.ndarray],
-        finger_names: Sequence[str],
-        joint_names: Sequence[str],
-        human_keypoints: Sequence[int] | None,
-        lower: np.ndarray,
-        upper: np.ndarray,
-    ):
-        """Builds the map from its weights.
-
-        Args:
-            arrays: shape_mean, shape_deviation (4F,); shape_weight0 (4F, m), shape_bias0 (m,), shape_weight1
-                (m, m), shape_bias1 (m,); input_mean and input_scale (F, 3) of the inputs; input_weight
-                (m, 12F), input_bias (12F,); modulation_weight (4, F, m, h), modulation_bias (4, F, h);
-                residual_modulation_weight (2, m, r), residual_modulation_bias (2, r); and those of
-                `MlpRetargeter`, whose residual_weight0 is (3F + 3 (F − 1), r).
-            finger_names, joint_names, human_keypoints, lower, upper: as in `Retargeter`; one finger must be
-                the thumb.
-
-        Raises:
-            CheckpointError: as in `MlpRetargeter`, or a finger is unknown, or there is no thumb.
-        """
-        if unknown := [name for name in finger_names if name not in TIP_KEYPOINT]:
+    def _prepare(self, arrays: Mapping[str, np.ndarray]) -> None:
+        names = self.finger_names
+        if unknown := [name for name in names if name not in TIP_KEYPOINT]:
             raise CheckpointError(
                 f"finger_names: unknown {unknown[0]!r}; known are {', '.join(TIP_KEYPOINT)}"
             )
-        if "thumb" not in finger_names:
-            raise CheckpointError(f"finger_names: 'thumb' is missing; there are {', '.join(finger_names)}")
-        super().__init__(finger_names, joint_names, human_keypoints, lower, upper)
-        self.arrays = arrays
-        self._thumb = self.finger_names.index("thumb")
-        self._weights = self._checked(arrays)
-        self._folded(self._weights["shape_mean"])  # also checks the arrays of the fingers
-
-    def _checked(self, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        fingers = len(self.finger_names)
+        if "thumb" not in names:
+            raise CheckpointError(f"finger_names: 'thumb' is missing; there are {', '.join(names)}")
+        self._thumb, fingers = names.index("thumb"), len(names)
         units = require_array(arrays, "shape_weight0", (4 * fingers, -1)).shape[1]
         hidden = require_array(arrays, "weight0", (fingers, 3, -1)).shape[2]
         inputs = 3 * fingers + 3 * (fingers - 1)
@@ -109,7 +87,8 @@ class UniversalRetargeter(Retargeter):
         for name in ("shape_deviation", "input_scale"):
             if not (weights[name] > 0).all():
                 raise CheckpointError(f"weights: '{name}' must be positive")
-        return weights
+        self._weights = weights
+        self._folded(weights["shape_mean"])  # also checks the arrays of the fingers
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Computes joint angles (n,) or (N, n), rad, of the person in keypoints (21, 3) or (N, 21, 3), m.
@@ -178,14 +157,8 @@ class UniversalRetargeter(Retargeter):
         return p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
 
     def _folded(self, shape: np.ndarray) -> MlpRetargeter:
-        retargeter = MlpRetargeter(
-            self._folded_arrays(shape),
-            self.finger_names,
-            self.joint_names,
-            self.human_keypoints.tolist(),
-            self.lower,
-            self.upper,
-        )
+        names = self.finger_names, self.joint_names, self.human_keypoints.tolist()
+        retargeter = MlpRetargeter(*names, self.lower, self.upper, self._folded_arrays(shape))
         retargeter.robot_hands, retargeter.info = self.robot_hands, self.info
         return retargeter
 

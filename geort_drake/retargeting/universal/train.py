@@ -1,11 +1,11 @@
-"""Trains the universal map of a robot hand on synthetic people, and writes its file."""
+"""Trains the universal map of a robot hand on synthetic people."""
 
 import dataclasses
 import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -16,181 +16,21 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from geort_drake.errors import TrainingError
 from geort_drake.files import atomic_path
 from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
-from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT
-from geort_drake.people.recording import PINCH_M
 from geort_drake.people.synthetic.population import sample_population
-from geort_drake.retargeting.clouds import first_in_voxels
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.descent import device_of, one_thread
 from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.soap import Soap
-from geort_drake.retargeting.universal.losses import (
-    CONSTRAINTS,
-    TOUCH,
-    Criteria,
-    Hands,
-    Multipliers,
-    NearCollisions,
-    UniversalSettings,
-    of_finger,
-)
+from geort_drake.retargeting.universal.batches import TrainingPeople
+from geort_drake.retargeting.universal.losses import TOUCH, Criteria, Multipliers, NearCollisions
 from geort_drake.retargeting.universal.network import UniversalNetwork
-from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_shape
+from geort_drake.retargeting.universal.person import UniversalRetargeter
+from geort_drake.retargeting.universal.settings import CONSTRAINTS, UniversalSettings
 
 AVERAGE_EVERY = 5  # steps, within which weights hardly move
 SAVE_EVERY_S = 30.0
-MIRROR_TOLERANCE_M = 1e-3
 # Called as report(steps done, total steps, figures by name) about a hundred times per training.
 Report = Callable[[int, int, dict[str, float]], None]
-
-
-class TrainingPeople:
-    """People whose hands are drawn in batches with one generator.
-
-    Attributes:
-        shapes: (N, K, 4F) shapes of each person's hand, m, measured on different parts of their play.
-        p_HF: (N, T, F, 3) fingertips, m.
-        closable: (P,) whether the robot's tips of each pair can touch; it is not asked for other pinches.
-    """
-
-    def __init__(
-        self,
-        p_HK: np.ndarray,
-        finger_names: Sequence[str],
-        settings: UniversalSettings,
-        generator: torch.Generator,
-        rng: np.random.Generator,
-        device: torch.device,
-    ):
-        """Takes keypoints p_HK (N, T, 21, 3), m; `rng` draws anchors and shapes, `generator` the batches."""
-        people, self._settings, self._generator, self._device = len(p_HK), settings, generator, device
-        thumb = list(finger_names).index("thumb")
-        self.pairs = tuple((thumb, i) for i in range(len(finger_names)) if i != thumb)
-        p_HF, directions = tips_and_directions(p_HK, finger_names)
-        anchors = np.zeros((people, len(finger_names), settings.anchors), dtype=int)
-        for i, finger in np.ndindex(*anchors.shape[:2]):
-            rows = first_in_voxels(p_HF[i, :, finger], settings.anchor_voxel_m)
-            anchors[i, finger] = rng.choice(rows, settings.anchors)
-        shapes = [[hand_shape(part, finger_names) for part in self._parts(each, rng)] for each in p_HK]
-        self._anchors = torch.tensor(anchors, device=device)
-        self.shapes = torch.tensor(np.array(shapes), device=device)
-        self._hands = torch.tensor(np.concatenate([p_HF, directions], -1), dtype=torch.float32, device=device)
-        self.p_HF = self._hands[..., :3]
-        self.closable = torch.ones(len(self.pairs), dtype=torch.bool, device=device)
-        self._first, self._second = torch.tensor(self.pairs, device=device).reshape(-1, 2).T
-        d = self.p_HF[:, :, self._first] - self.p_HF[:, :, self._second]
-        self._distance, self._pair = d.norm(dim=-1).min(-1)
-        self._pinching = [torch.nonzero(row < PINCH_M)[:, 0] for row in self._distance]
-        self._near = [torch.nonzero(row < settings.pinch_reach_m)[:, 0] for row in self._distance]
-
-    def _parts(self, p_HK: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
-        """Draws parts of a play (T, 21, 3): the whole, a frame, and windows of log-uniform lengths."""
-        total, count = len(p_HK), self._settings.shapes_per_person
-        lengths = [total, 1, *np.exp(rng.uniform(0.0, np.log(total), max(count - 2, 0))).astype(int)][:count]
-        starts = [rng.integers(total - length + 1) for length in lengths]
-        return [p_HK[start : start + length] for start, length in zip(starts, lengths, strict=True)]
-
-    def draw(self) -> Hands:
-        """Draws a batch."""
-        s, (_, frames, fingers, _) = self._settings, self._hands.shape
-        people = self._below(len(self._hands), s.people_per_batch)
-        G, rows = len(people), people[:, None]
-        finger = self._below(fingers, G, s.moved)
-        moved = self._hands[rows, self._anchors[rows, finger, self._below(s.anchors, G, s.moved)]]
-        other = self._below(frames, G, s.moved, fingers)
-        other = self._hands[rows[..., None], other, torch.arange(fingers, device=self._device)]
-        mixed = (self._uniform(G, s.moved, 1) < s.mixed) & ~self._one_hot(finger)
-        moved = torch.where(mixed[..., None], other, moved)
-        least, most = s.step_m
-        d = torch.nn.functional.normalize(self._normal(G, s.moved, 3), dim=-1)
-        d = d * (least + (most - least) * self._uniform(G, s.moved, 1))
-        start = self._below(frames - max(s.step_lags), G, s.steps_per_person)
-        lags = torch.tensor(s.step_lags, device=self._device)
-        lag = lags[self._below(len(lags), G, s.steps_per_person)]
-        before, after = self._hands[rows, start], self._hands[rows, start + lag]
-        recorded = self._chosen(self._pinching, people)
-        synthetic, synthetic_rows = self._synthetic_pinches(people)
-        pinching = torch.cat([self._hands[rows, recorded], synthetic], 1)
-        chosen = torch.cat([recorded, synthetic_rows], 1)
-        pair, distance = self._pair[rows, chosen], self._distance[rows, chosen]
-        reach = torch.full_like(distance, s.pinch_reach_m)
-        reach[:, : s.pinches] = PINCH_M
-        seen = [moved, after, pinching]
-        offset = self._offset(G, sum(part.shape[1] for part in seen))
-        offset[:, -2 * s.pinches : -s.pinches] = 0.0  # recorded pinches stay as they are
-        moved_offset, step_offset, pinch_offset = offset.split([part.shape[1] for part in seen], dim=1)
-        # Synthetic pinches are displaced before their fingertips are brought together.
-        pinch_offset = torch.where(self._in_pair(pair)[..., None], 0.0, pinch_offset)
-        return Hands(
-            self.shapes[people, self._below(self.shapes.shape[1], G)],
-            moved=moved[..., :3] + moved_offset,
-            finger=finger,
-            d=d,
-            before=before[..., :3] + step_offset,
-            after=after[..., :3] + step_offset,
-            pinching=pinching[..., :3] + pinch_offset,
-            pinch_pair=pair,
-            pinched=(distance < reach) & self.closable[pair],
-            directions=torch.cat(seen, 1)[..., 3:],
-        )
-
-    def _synthetic_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Moves the nearest pair of hands together; the other fingers may be from other frames.
-
-        Returns the hands, and the frames (G, ·) of the pairs.
-        """
-        s, rows, shape = self._settings, people[:, None], (len(people), self._settings.pinches)
-        chosen = self._chosen(self._near, people)
-        hands, pair = self._hands[rows, chosen], self._pair[rows, chosen]
-        first, second = self._first[pair], self._second[pair]
-        a, b = (of_finger(hands, finger) for finger in (first, second))
-        half = 0.5 * (b - a)[..., :3] + 0.002 * self._normal(*shape, 3)
-        length = half.norm(dim=-1, keepdim=True) + 1e-9
-        half = half * (0.5 * PINCH_M * self._uniform(*shape, 1) / length).clamp(max=1)
-        middle = 0.5 * (a + b)[..., :3] + s.pinch_spread_m * self._normal(*shape, 3)
-        elsewhere = self._hands[rows, self._below(self._hands.shape[1], *shape)]
-        hands = torch.where(self._uniform(*shape, 1, 1) < 0.5, elsewhere, hands)
-        for finger, point, direction in ((second, middle + half, b), (first, middle - half, a)):
-            new = torch.cat([point, direction[..., 3:]], -1)[:, :, None]
-            hands = torch.where(self._one_hot(finger)[..., None], new, hands)
-        return hands, chosen
-
-    def _chosen(self, candidates: Sequence[torch.Tensor], people: torch.Tensor) -> torch.Tensor:
-        """Draws frames (G, pinches) of each person's candidates, or of all if there are none."""
-        count = self._settings.pinches
-        rows = [
-            candidates[i][self._below(len(candidates[i]), count)]
-            if len(candidates[i])
-            else self._below(self._hands.shape[1], count)
-            for i in people.tolist()
-        ]
-        return torch.stack(rows)
-
-    def _in_pair(self, pair: torch.Tensor) -> torch.Tensor:
-        return self._one_hot(self._first[pair]) | self._one_hot(self._second[pair])
-
-    def _offset(self, *shape: int) -> torch.Tensor:
-        chosen = (self._uniform(*shape, 1, 1) < self._settings.spread).float()
-        return chosen * self._settings.spread_m * self._normal(*shape, self._hands.shape[2], 3)
-
-    def _one_hot(self, finger: torch.Tensor) -> torch.Tensor:
-        return torch.nn.functional.one_hot(finger, self._hands.shape[2]).bool()
-
-    def _below(self, limit: int, *shape: int) -> torch.Tensor:
-        return torch.randint(limit, shape, generator=self._generator).to(self._device)
-
-    def _uniform(self, *shape: int) -> torch.Tensor:
-        return torch.rand(shape, generator=self._generator).to(self._device)
-
-    def _normal(self, *shape: int) -> torch.Tensor:
-        return torch.randn(shape, generator=self._generator).to(self._device)
-
-
-def tips_and_directions(p_HK: np.ndarray, finger_names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Returns fingertips, m, and unit vectors along the distal bones, (..., F, 3), of p_HK (..., 21, 3)."""
-    tips = p_HK[..., [TIP_KEYPOINT[name] for name in finger_names], :]
-    u = tips - p_HK[..., [FINGER_KEYPOINTS[name][-2] for name in finger_names], :]
-    return tips, u / np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-9)
 
 
 def _digest(kinematics: HandKinematics, seed: int) -> bytes:
@@ -289,9 +129,8 @@ class Training:
         figures = {name: figure for name, (_, figure) in terms.items()}
         if step % s.collision_search_every == 0:
             self._collided = self.collisions.search(self.network, hands)
-        figures["collision"] = (
-            self._collided
-        )  # of the last search, so that its multiplier is as fast as others
+        # Of the last search, so that its multiplier is as fast as the others.
+        figures["collision"] = self._collided
         if step % s.collision_every == 0 and (loss := self.collisions.loss(self.network)) is not None:
             losses["collision"] = loss
         self.multipliers.update(figures)
@@ -417,7 +256,7 @@ def train_universal(
             ):
                 report(training.step, settings.steps, training.figures())
     limits = (kinematics.lower, kinematics.upper)
-    result = UniversalRetargeter(training.result().arrays(), names, kinematics.joint_names, None, *limits)
+    result = UniversalRetargeter(names, kinematics.joint_names, None, *limits, training.result().arrays())
     result.info = {
         "method": "universal",
         "config": {**dataclasses.asdict(settings), "seed": seed, "device": device},
@@ -427,83 +266,3 @@ def train_universal(
     if state is not None:
         state.unlink(missing_ok=True)
     return result
-
-
-def mirrored_map(
-    retargeter: UniversalRetargeter, hand: HandKinematics, mirrored: HandKinematics
-) -> UniversalRetargeter | None:
-    """Converts the map of a hand to its mirror image, whose joints may have other names, senses and zeros.
-
-    Args:
-        retargeter: map of `hand`.
-        hand: kinematics of the hand.
-        mirrored: kinematics of the other hand, mirrored; see `HandKinematics.mirrored`.
-
-    Returns:
-        The map; None if the other hand is no mirror image within `MIRROR_TOLERANCE_M`.
-    """
-    if (match := match_joints(hand, mirrored)) is None:
-        return None
-    rows, signs = match
-    columns = retargeter.arrays["columns"]
-    arrays = dict(retargeter.arrays)
-    outputs = np.ones(arrays["bias2"].size, dtype=np.float32)
-    outputs[columns[rows]] = signs
-    arrays["columns"] = columns[rows]
-    for name in ("weight2", "bias2", "residual_weight2", "residual_bias2"):
-        shape = (len(hand.fingers), 1, -1) if name in ("weight2", "bias2") else (-1,)
-        arrays[name] = arrays[name] * outputs.reshape(shape)
-    result = UniversalRetargeter(
-        arrays,
-        mirrored.finger_names,
-        mirrored.joint_names,
-        retargeter.human_keypoints.tolist(),
-        mirrored.lower,
-        mirrored.upper,
-    )
-    result.info = retargeter.info
-    return result
-
-
-def match_joints(hand: HandKinematics, mirrored: HandKinematics) -> tuple[np.ndarray, np.ndarray] | None:
-    """Matches the joints of two hands of which one is the mirror image of the other.
-
-    Joints correspond along each finger. At corresponding fractions of their ranges, both hands must have the
-    same fingertips within `MIRROR_TOLERANCE_M`, at 100 random postures.
-
-    Args:
-        hand, mirrored: as for `mirrored_map`.
-
-    Returns:
-        Numbers (n,) of the joints of `hand` for those of `mirrored`, and their senses (n,), 1 or −1; with −1,
-        one joint is at its upper limit where the other is at its lower. None if the hands differ.
-    """
-    if mirrored.finger_names != hand.finger_names or len(mirrored.joint_names) != len(hand.joint_names):
-        return None
-    rows, signs = np.zeros(len(hand.joint_names), dtype=int), np.ones(len(hand.joint_names))
-    axes, others = (_axes_amid_limits(each) for each in (hand, mirrored))
-    for chain, other in zip(hand.fingers, mirrored.fingers, strict=True):
-        own, theirs = list(chain.joint_indices), list(other.joint_indices)
-        if len(own) != len(theirs):
-            return None
-        rows[theirs] = own
-        signs[theirs] = np.where((axes[own] * others[theirs]).sum(-1) < 0, -1.0, 1.0)
-    fractions = np.random.default_rng(0).uniform(size=(100, len(rows)))
-    theirs = np.where(signs > 0, fractions[:, rows], 1.0 - fractions[:, rows])
-    tips, mirrored_tips = (
-        fingertips(each, torch.tensor(each.lower + part * (each.upper - each.lower))).numpy()
-        for each, part in ((hand, fractions), (mirrored, theirs))
-    )
-    far = np.linalg.norm(tips - mirrored_tips, axis=-1).max()
-    return (rows, signs) if far <= MIRROR_TOLERANCE_M else None
-
-
-def _axes_amid_limits(hand: HandKinematics) -> np.ndarray:
-    """Returns the unit axes (n, 3) of the joints in B, with all joints in the middle of their ranges."""
-    chains, angles = hand.uncoupled()
-    X_BJ = chains.joint_poses((angles @ (0.5 * (hand.lower + hand.upper)))[None])[0]
-    axes = np.zeros((len(chains.joint_names), 3))
-    for finger in chains.fingers:
-        for joint, axis in zip(finger.joint_indices, finger.axes, strict=True):
-            axes[joint] = X_BJ[joint, :3, :3] @ axis
-    return axes[: len(hand.joint_names)]
