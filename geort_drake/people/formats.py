@@ -1,23 +1,29 @@
-"""The formats of recordings: a function each from a file's contents to times, keypoints and side.
+"""The formats of recordings: a function each from a file's `contents` to times, keypoints and side.
 
-Contents are a dict of arrays (.npz, or .npy under the name "data"), a `Table` (.csv), or the objects of a
-JSON file. A field that is there is read or refused, never taken for absent: numbers in text count as
-numbers. A single frame that cannot be read shows no hand; `read_recording` counts such frames.
+A field that is there is read or refused, never taken for absent. A single frame that cannot be read shows no
+hand; `read_recording` counts such frames.
 """
 
-import csv
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks import bent_side
+from geort_drake.people.contents import (
+    array_of,
+    frames_of,
+    number_of,
+    numbers_of,
+    points_of,
+    side_of,
+    stamps_of,
+    times_of,
+)
 from geort_drake.people.keypoints import KEYPOINT_COUNT
-from geort_drake.people.recording import SIDES, check_file, load_arrays
+from geort_drake.people.recording import SIDES
 
 NODE_COUNT = 25
 # The keypoints among 25 joints: wrist, four of the thumb, then five per finger, of which the first, the
@@ -25,8 +31,6 @@ NODE_COUNT = 25
 KEYPOINTS_OF_25 = tuple(i for i in range(NODE_COUNT) if i not in (5, 10, 15, 20))
 
 _POINTS = (KEYPOINT_COUNT, 3)
-_TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs", "timestamp_ms")
-_SIDE_FIELDS = ("side", "chirality", "handedness", "hand")
 
 
 class Track(NamedTuple):
@@ -70,7 +74,7 @@ def read_keypoint_array(contents: Any, side: str) -> Track:
 
     Source: https://github.com/facebookresearch/GeoRT, README.
     """
-    return Track(None, _array(contents, "data", _POINTS))
+    return Track(None, array_of(contents, "data", _POINTS))
 
 
 def read_manus(contents: Any, side: str) -> Track:
@@ -82,13 +86,13 @@ def read_manus(contents: Any, side: str) -> Track:
 
     Source: https://github.com/mimicrobotics/mimic_retargeter_lab, whose published recordings these are.
     """
-    p_WN = _array(contents, "data", (NODE_COUNT, 7))[..., :3]
+    p_WN = array_of(contents, "data", (NODE_COUNT, 7))[..., :3]
     try:
         numbers = np.asarray(contents.get("keypoint_ids", range(NODE_COUNT))).tolist()
         p_WK = keypoints_of_nodes(p_WN, numbers)
     except (TypeError, ValueError) as error:
         raise RecordingError(f"keypoint_ids {error}") from None
-    return Track(_times(contents, len(p_WK)), p_WK, _side(contents), in_world=True)
+    return Track(times_of(contents, len(p_WK)), p_WK, side_of(contents), in_world=True)
 
 
 def keypoints_of_nodes(p_WN: np.ndarray, numbers: Sequence[int] = range(NODE_COUNT)) -> np.ndarray:
@@ -141,8 +145,8 @@ def read_manus_csv(contents: Any, side: str) -> Track:
     t = None
     if _ELAPSED in header:
         place = header.index(_ELAPSED)
-        stamps = [row[place].strip() or None if place < len(row) else None for row in rows]
-        t = 1e-3 * _stamps(stamps, f"column {_ELAPSED}")
+        texts = [row[place].strip() or None if place < len(row) else None for row in rows]
+        t = 1e-3 * stamps_of(texts, f"column {_ELAPSED}")
     remarks: tuple[str, ...] = ()
     stated = {"_L": "left", "_R": "right"}.get(contents.stem[-2:])
     if stated == side and bent_side(p_WK, side) != side:
@@ -153,13 +157,6 @@ def read_manus_csv(contents: Any, side: str) -> Track:
     ends = np.stack([_cells(row, header, [name for name in palm if name in header]) for row in rows])
     fixed = ends.shape[1] == len(palm) and np.mean(ends == np.nanmedian(ends, axis=0)) > 0.9
     return Track(t, p_WK, stated, not fixed, unit, remarks)
-
-
-class Table(NamedTuple):
-    """A CSV file: its rows of text, header first, and its name without suffix."""
-
-    rows: list[list[str]]
-    stem: str
 
 
 def _cells(row: list[str], header: list[str], columns: list[str]) -> np.ndarray:
@@ -187,7 +184,7 @@ def read_mediapipe(contents: Any, side: str) -> Track:
     Sources: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker and
     https://github.com/google-ai-edge/mediapipe/issues/1374
     """
-    frames = _frames(contents)
+    frames = frames_of(contents)
     if frames:
         hands = [_mediapipe_hands(frame, side) for frame in frames]
         p = np.stack(hands)
@@ -198,7 +195,7 @@ def read_mediapipe(contents: Any, side: str) -> Track:
             )
         seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
     else:
-        seen = {_side(contents) or side: _array(contents, "world_landmarks", _POINTS)}
+        seen = {side_of(contents) or side: array_of(contents, "world_landmarks", _POINTS)}
     fitting = [label for label, p_WK in seen.items() if bent_side(p_WK, label) == side]
     if not fitting:
         (other, *_) = seen
@@ -210,7 +207,7 @@ def read_mediapipe(contents: Any, side: str) -> Track:
             f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because "
             "MediaPipe's labels often assume mirrored images",
         )
-    return Track(_times(contents, len(seen[label]), 1e-3), seen[label], side, remarks=remarks)
+    return Track(times_of(contents, len(seen[label]), 1e-3), seen[label], side, remarks=remarks)
 
 
 def _mediapipe_hands(frame: Any, side: str) -> np.ndarray:
@@ -225,8 +222,8 @@ def _mediapipe_hands(frame: Any, side: str) -> np.ndarray:
     labels = [side][: len(hands)] if labels is None else [_mediapipe_label(label) for label in labels]
     if len(labels) == len(hands) and set(labels) <= set(SIDES):
         for label, hand in reversed(list(zip(labels, hands, strict=True))):
-            points = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
-            seen[SIDES.index(label)] = _points(points, KEYPOINT_COUNT)
+            landmarks = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
+            seen[SIDES.index(label)] = points_of(landmarks, KEYPOINT_COUNT)
     return seen
 
 
@@ -270,23 +267,23 @@ def read_webxr(contents: Any, side: str) -> Track:
 
 
 def _read_xr(contents: Any, names: tuple[str, ...], unit_s: float) -> Track:
-    count, frames = len(names), _frames(contents)
+    count, frames = len(names), frames_of(contents)
     if frames:
         p = np.stack([_xr_points(frame, names) for frame in frames])
     else:
-        joints = _array(contents, "joints", (count, 3), (count, 7), (count, 4, 4), (count * 16,))
+        joints = array_of(contents, "joints", (count, 3), (count, 7), (count, 4, 4), (count * 16,))
         if joints.ndim == 2 or joints.shape[-1] == 4:
             X = joints.reshape(-1, count, 4, 4)
             p = _upright(np.swapaxes(X, 2, 3) if joints.ndim == 2 else X, "joints")[..., :3, 3]
         else:
             p = joints[..., :3]
         if "valid" in contents:
-            valid = _array(contents, "valid", (count,))
+            valid = array_of(contents, "valid", (count,))
             if len(valid) != len(p):
                 raise RecordingError(f"{len(valid)} valid for {len(p)} frames")
             p = np.where((np.nan_to_num(valid) != 0)[..., None], p, np.nan)
     p_WK = p[:, count - NODE_COUNT :][:, KEYPOINTS_OF_25]
-    return Track(_times(contents, len(p), unit_s), p_WK, _side(contents), in_world=True)
+    return Track(times_of(contents, len(p), unit_s), p_WK, side_of(contents), in_world=True)
 
 
 def _xr_points(frame: Any, names: tuple[str, ...]) -> np.ndarray:
@@ -295,19 +292,19 @@ def _xr_points(frame: Any, names: tuple[str, ...]) -> np.ndarray:
     if not isinstance(frame, Mapping) or frame.get("isActive", True) not in (True, 1, "true"):
         return lost
     if "poses" in frame:
-        poses = _numbers(frame["poses"])
+        poses = numbers_of(frame["poses"])
         return lost if np.shape(poses) != (16 * len(names),) else poses.reshape(-1, 4, 4)[:, 3, :3]
     joints = frame.get("joints")
     if isinstance(joints, Mapping):
         joints = [joints.get(name) for name in names]
     return (
-        _points([_xr_position(joint) for joint in joints], len(names)) if isinstance(joints, list) else lost
+        points_of([_xr_position(joint) for joint in joints], len(names)) if isinstance(joints, list) else lost
     )
 
 
 def _xr_position(joint: Any) -> Any:
     if isinstance(joint, Mapping):
-        flags = _number(joint.get("locationFlags", _POSITION_VALID))
+        flags = number_of(joint.get("locationFlags", _POSITION_VALID))
         if not (math.isfinite(flags) and int(flags) & _POSITION_VALID):
             return None
         joint = joint.get("pose", joint)
@@ -326,7 +323,7 @@ def read_vision_pro(contents: Any, side: str) -> Track:
     """
     names = [name for end in ("fingers", "arm") if (name := f"{side}_{end}") in contents]
     field = names[0] if names else f"{side}_fingers"
-    X_JK = _upright(_array(contents, field, (25, 4, 4), (27, 4, 4)), field)
+    X_JK = _upright(array_of(contents, field, (25, 4, 4), (27, 4, 4)), field)
     if X_JK.shape[1] == 27:  # the wrist's own transform stays the identity
         moved = np.abs(X_JK[:, [0, 2]] - np.eye(4)).max(axis=(2, 3))
         X_JK = X_JK[:, 2 * int(np.nansum(moved[:, 1]) < np.nansum(moved[:, 0])) :]
@@ -334,10 +331,10 @@ def read_vision_pro(contents: Any, side: str) -> Track:
         raise RecordingError(
             f"{field} must be joints in the wrist's frame, whose own transform is the identity"
         )
-    p_WK, t = X_JK[:, KEYPOINTS_OF_25][..., :3, 3], _times(contents, len(X_JK))
+    p_WK, t = X_JK[:, KEYPOINTS_OF_25][..., :3, 3], times_of(contents, len(X_JK))
     if f"{side}_wrist" not in contents:
         return Track(t, p_WK, side)
-    X_WJ = _array(contents, f"{side}_wrist", (1, 4, 4), (4, 4)).reshape(-1, 1, 4, 4)
+    X_WJ = array_of(contents, f"{side}_wrist", (1, 4, 4), (4, 4)).reshape(-1, 1, 4, 4)
     if len(X_WJ) != len(p_WK):
         raise RecordingError(f"{len(X_WJ)} {side}_wrist for {len(p_WK)} frames")
     X_WJ = _upright(X_WJ, f"{side}_wrist")[:, 0]
@@ -364,178 +361,10 @@ def _upright(X: np.ndarray, field: str) -> np.ndarray:
     return np.where((known & upright)[:, None, None, None], X, np.nan)
 
 
-# -- values
-
-
-def _frames(contents: Any) -> list:
-    """Returns the frames of JSON: the list that it is, or its list `frames`; otherwise an empty list."""
-    frames = contents.get("frames") if isinstance(contents, Mapping) else contents
-    return frames if isinstance(frames, list) else []
-
-
-def _array(contents: Any, field: str, *shapes: tuple[int, ...]) -> np.ndarray:
-    """Returns an archive's array of floats (T, *shape), one of the shapes."""
-    if not isinstance(contents, Mapping) or field not in contents:
-        given = ", ".join(map(str, contents)) if isinstance(contents, Mapping) else type(contents).__name__
-        raise RecordingError(f"lacks {field}; it contains {given or 'nothing'}")
-    array = np.asarray(contents[field])
-    if array.dtype.kind in "US":
-        array = _numbers(array.tolist(), field)
-    if array.ndim == 0 or array.shape[1:] not in shapes or array.dtype.kind not in "fiub":
-        expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
-        raise RecordingError(f"{field} must be numbers of shape {expected}, not {array.dtype} {array.shape}")
-    return array.astype(float)
-
-
-def _times(contents: Any, count: int, unit_s: float = 1.0) -> np.ndarray | None:
-    """Returns times (count,), s, or None if the file has none.
-
-    Args:
-        contents: of the file.
-        count: number of frames.
-        unit_s: unit of the times in frames, s; an archive's array is in s.
-
-    Raises:
-        RecordingError: a time is there but is no number; names field and frame.
-    """
-    frames = _frames(contents)
-    fields = [
-        name
-        for name in _TIME_FIELDS
-        if (isinstance(contents, Mapping) and name in contents)
-        or any(isinstance(frame, Mapping) and frame.get(name) is not None for frame in frames)
-    ]
-    if not fields:
-        return None
-    (field, *_) = fields
-    if isinstance(contents, Mapping) and field in contents:
-        values, unit_s = contents[field], unit_s if frames else 1.0
-        values = values.tolist() if isinstance(values, np.ndarray) else values
-        if np.asarray(contents[field]).dtype.kind in "Mm" or not isinstance(values, list):
-            raise RecordingError(
-                f"{field}: times must be numbers, one per frame, not {contents[field]!r:.60}"
-            )
-    else:
-        values = [frame.get(field) if isinstance(frame, Mapping) else None for frame in frames]
-    if len(values) != count:
-        raise RecordingError(f"{len(values)} {field} for {count} frames")
-    return unit_s * _stamps(values, field)
-
-
-def _stamps(values: Sequence[Any], field: str) -> np.ndarray:
-    """Returns times (T,) as floats; NaN for None and what is not finite. Large integers lose their origin.
-
-    Nanoseconds since an epoch exceed a double's resolution, so integers are subtracted first.
-    """
-    numbers: list[Any] = []
-    for i, value in enumerate(values):
-        number = _exact(value)
-        if number is None and value is not None:
-            raise RecordingError(f"{field}[{i}]: times must be numbers, not {value!r:.60}")
-        numbers.append(number)
-    known = [number for number in numbers if number is not None and abs(number) < 1e300]
-    start = sorted(known)[len(known) // 2] if known else 0
-    if numbers and numbers[0] in known and abs(numbers[0] - start) < 1e300:
-        start = numbers[0]
-    origin = float(start) if isinstance(start, float) or abs(start) < 2**53 else 0.0
-    shifted = [math.nan if n is None or not abs(n) < 1e300 else float(n - start) for n in numbers]
-    return np.array(shifted) + origin
-
-
-def _exact(value: Any) -> int | float | None:
-    """Returns a number, also from text, without rounding integers; None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return None
-    if isinstance(value, str):
-        for kind in (int, float):
-            try:
-                return kind(value)
-            except ValueError:
-                pass
-        return None
-    return value
-
-
-def _side(contents: Any) -> str | None:
-    """Returns the side that a file states, or None; raises RecordingError if it states neither."""
-    field = next((name for name in _SIDE_FIELDS if isinstance(contents, Mapping) and name in contents), None)
-    if field is None:
-        return None
-    side = str(contents[field]).strip().lower()
-    side = {"l": "left", "r": "right"}.get(side, side)
-    if side not in SIDES:
-        raise RecordingError(f"{field} '{side:.40}' is none of: {', '.join(SIDES)}")
-    return side
-
-
-def _points(values: Any, count: int) -> np.ndarray:
-    """Returns points (count, 3) given as lists or as objects with x, y, z; NaN for unreadable ones."""
-    points = np.full((count, 3), np.nan)
-    if not isinstance(values, list) or len(values) != count:
-        return points
-    for i, value in enumerate(values):
-        given = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else value
-        if isinstance(given, list) and len(given) >= 3:
-            points[i] = [_number(number) for number in given[:3]]
-    return points
-
-
-def _number(value: Any) -> float:
-    number = _exact(value)
-    return math.nan if number is None or not abs(number) < 1e300 else float(number)
-
-
-def _numbers(values: Any, field: str | None = None) -> np.ndarray:
-    """Returns nested lists of numbers, also in text, as an array; others are NaN, or refused by `field`."""
-    if isinstance(values, list):
-        try:
-            return np.array([_numbers(value, field) for value in values])
-        except ValueError:
-            return np.array(math.nan)
-    if field is not None and _exact(values) is None:
-        raise RecordingError(f"{field} must be numbers, not {values!r:.60}")
-    return np.array(_number(values))
-
-
-# -- files
-
-
-def load(path: Path) -> Any:
-    """Returns a file's contents by its suffix; an unreadable line of JSON becomes None."""
-    check_file(path)
-    suffix = path.suffix.lower()
-    if suffix in (".npy", ".npz"):
-        return load_arrays(path)
-    if suffix not in (".csv", ".json", ".jsonl"):
-        raise RecordingError(
-            f"{path}: recordings are .npz, .npy, .json, .jsonl or .csv files, not '{suffix}'"
-        )
-    try:
-        text = path.read_text("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not a text file in UTF-8 ({error})") from None
-    if suffix == ".csv":
-        lines = [line for line in text.splitlines() if line.strip(",;\t ")]
-        if not lines:
-            raise RecordingError(f"{path}: the table is empty")
-        return Table(list(csv.reader(lines, delimiter=max(",;\t", key=lines[0].count))), path.stem)
-    if suffix == ".jsonl":
-        return [_parsed(line) for line in text.splitlines() if line.strip()]
-    try:
-        return json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: not JSON: {error}") from None
-
-
-def _parsed(line: str) -> Any:
-    try:
-        return json.loads(line)
-    except (ValueError, RecursionError):
-        return None
-
-
 def _any_frame(contents: Any, *fields: str) -> bool:
-    return any(isinstance(frame, Mapping) and any(f in frame for f in fields) for frame in _frames(contents))
+    return any(
+        isinstance(frame, Mapping) and any(f in frame for f in fields) for frame in frames_of(contents)
+    )
 
 
 def _joints(contents: Any) -> int:
@@ -543,7 +372,7 @@ def _joints(contents: Any) -> int:
     if isinstance(contents, Mapping) and "joints" in contents:
         width = (*np.shape(contents["joints"])[1:], 0)[0]
         return {26 * 16: 26, 25 * 16: 25}.get(width, width)
-    frames = [frame for frame in _frames(contents) if isinstance(frame, Mapping)]
+    frames = [frame for frame in frames_of(contents) if isinstance(frame, Mapping)]
     lists = sum(isinstance(frame.get("joints"), list) for frame in frames)
     objects = sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in frames)
     return 0 if lists == objects == 0 else 26 if lists > objects else 25
