@@ -5,6 +5,7 @@ import copy
 import dataclasses
 import json as json_format
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -30,7 +31,8 @@ from geort_drake.resources import object_names
 from geort_drake.simulation.tasks import task_names
 
 if TYPE_CHECKING:
-    from geort_drake import Recording
+    from geort_drake import Hand, Recording
+    from geort_drake.simulation.operators.goal import Goal
     from geort_drake.simulation.scenario import Scenario
     from geort_drake.simulation.task import TrialResult
 
@@ -81,19 +83,11 @@ class Grasp(Command, ScenarioOptions):
         return self.load_scenario()
 
     def run(self) -> int:
-        from geort_drake import Hand, __version__, load_hand, run_trial
-        from geort_drake.benchmark.trials import plan
-        from geort_drake.console import print_table, progress_bar, say, track, warn
-        from geort_drake.export.episode import RESULTS, SCENARIO
-        from geort_drake.files import locked, write_text
+        from geort_drake import Hand, __version__
+        from geort_drake.console import say
+        from geort_drake.export.episode import RESULTS
         from geort_drake.methods import default_method, names_of, resolve
-        from geort_drake.own_method import OwnMethod
         from geort_drake.retargeting.train import training_recording
-        from geort_drake.retargeting.universal import UniversalRetargeter
-        from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
-        from geort_drake.simulation.scenario import dump_scenario
-        from geort_drake.simulation.tasks import find_task
-        from geort_drake.simulation.tasks.grasp import explained
 
         # Checks the whole request before anything is computed or written.
         require_output_folder(self.output, RESULTS)
@@ -101,60 +95,60 @@ class Grasp(Command, ScenarioOptions):
         require(self.trials > 0, "--trials", "a whole number, at least 1", self.trials)
         require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         base, replay = self._request()
-        description = load_hand(base.hand)
-        hand = Hand(description)
+        hand = Hand(base.hand)
         method = self.retargeter or default_method(hand)
-        names_of([method], hand=hand)  # refuses an unusable one
-        side = self.side or description.side
+        names_of([method], hand)  # refuses an unusable one
         scenarios = self.scenarios_of(base, replay)
-        recording = training_recording(self.recording, side, self.seed)
+        recording = training_recording(self.recording, self.side or hand.description.side, self.seed)
 
         # Plans before training, because planning shows whether the robot can grasp the objects at all.
-        plans: dict[str, Any] = {}
-        if replay is None:
-            names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
-            plans = {name: plan(dump_scenario(base), name) for name in track("planning", names, len(names))}
-            refused = [reason for reason in plans.values() if isinstance(reason, str)]
-            if len(refused) == len(plans):
-                raise ScenarioError(refused[0])
-            for reason in refused:
-                warn(f"left out: {reason}")
-            scenarios = [scenario for scenario in scenarios if isinstance(plans[scenario.object.name], list)]
+        plans = {} if replay else _plans(scenarios, hand)
         retarget, path = resolve(method, hand, recording, self.seed, self.device)
-        source = str(self.recording or f"synthetic play, seed {self.seed}")
-        say(f"Human motion: {source}")
-        properties: dict[str, str | float] = {"method": method, "hand": description.name}
+        motion = str(self.recording or f"synthetic play, seed {self.seed}")
+        say(f"Human motion: {motion}")
+        say(f"Retargeter:   {_origin(method, retarget, path)}")
         session = replay.metadata if replay else {}
-        properties |= {f"session_{name}": json_format.dumps(value) for name, value in session.items()}
-        if path is None:
-            say(f"Retargeter:   {method} (needs no training)")
-        elif isinstance(retarget, OwnMethod):
-            say(f"Retargeter:   {path} (own method)")
-        elif isinstance(retarget, UniversalRetargeter):
-            say(f"Retargeter:   {path} (universal)")
-            properties |= {"map": str(path), "method": "universal"}
-        else:
-            say(f"Retargeter:   {path}")
-            info = getattr(retarget, "info", {})
+        properties = {"method": method, "hand": hand.description.name}
+        if path is not None and (info := getattr(retarget, "info", None)) is not None:
             properties |= {"map": str(path), "method": info.get("method", method)}
-
-        person = persons_hand(scenarios[0], recording)
-        goals = {}
-        if replay is None:
-            retarget, seen = practise(base, retarget, hand, person)
-            found = {scenario.object.name for scenario in scenarios}
-            goals = {name: keep_reached(plans[name], seen)[0] for name in found}
-        report: dict[str, Any] = {
+        properties |= {f"session_{name}": json_format.dumps(value) for name, value in session.items()}
+        report = {
             "version": __version__,
-            "human_motion": source,
+            "human_motion": motion,
             "recording_sha256": recording.digest,
             "retargeter": str(path or method),
             "session": session,
         }
+        if replay:
+            humans: list[Any] = [replay] * len(scenarios)
+        else:
+            scenarios = [scenario for scenario in scenarios if scenario.object.name in plans]
+            retarget, humans = _people(base, scenarios, plans, retarget, hand, recording)
+        results = self._simulate(scenarios, humans, retarget, properties, report)
+        self._print_results(results)
+        write_json(self.json, report)
+        finish({"Results": self.output / RESULTS}, view(self.output, "/*.rrd") if self.rerun else None)
+        return 0
+
+    def _simulate(
+        self,
+        scenarios: "Sequence[Scenario]",
+        humans: Sequence[Any],
+        retarget: Any,
+        properties: dict[str, str],
+        report: dict[str, Any],
+    ) -> "list[TrialResult]":
+        """Simulates the trials, one scenario and human each, and writes their files and the `report`."""
+        from geort_drake import run_trial
+        from geort_drake.console import progress_bar
+        from geort_drake.export.episode import RESULTS
+        from geort_drake.files import locked
+        from geort_drake.simulation.tasks import find_task
+
         results: list[TrialResult] = []
         with locked(self.output), progress_bar() as display:
             update = display.counter("grasping")
-            for done, scenario in enumerate(scenarios):
+            for done, (scenario, human) in enumerate(zip(scenarios, humans, strict=True)):
                 stem = f"{find_task(scenario.task).case_of(scenario)}-{scenario.random_seed}"
 
                 def show(t: float, done: int = done, stem: str = stem) -> None:
@@ -163,18 +157,10 @@ class Grasp(Command, ScenarioOptions):
                 # The recording of an interrupted trial stays here, so that it never replaces a complete one.
                 recorded = self.output / "interrupted" / f"{stem}.rrd"
                 recorded.unlink(missing_ok=True)
-                result, glove = run_trial(
-                    scenario,
-                    retarget,
-                    replay or (person, goals[scenario.object.name]),
-                    recorded if self.rerun else None,
-                    properties,
-                    show,
-                )
+                path = recorded if self.rerun else None
+                result, glove = run_trial(scenario, retarget, human, path, properties, show)
                 if not results:
-                    _remove_run(self.output)
-                    # The first trial's scenario; object and seed of the others are in results.json.
-                    write_text(self.output / SCENARIO, dump_scenario(scenario))
+                    _replace_run(self.output, scenario)
                 _keep_recording(recorded, self.output)
                 glove.save(self.output / f"{stem}.glove.npz")
                 results.append(result)
@@ -186,6 +172,11 @@ class Grasp(Command, ScenarioOptions):
                 }
                 write_json(self.output / RESULTS, report)
             update(len(scenarios), len(scenarios))
+        return results
+
+    def _print_results(self, results: "Sequence[TrialResult]") -> None:
+        from geort_drake.console import print_table, say
+        from geort_drake.simulation.tasks.grasp import explained
 
         print_table(
             ("object", "seed", "outcome", "hold at", "attempts", "height", "force", "speed"),
@@ -194,16 +185,11 @@ class Grasp(Command, ScenarioOptions):
             caption="hold at: when the successful hold began; height, force: peak; speed: times real time",
             text=("outcome",),
         )
-        held = sum(result.success for result in results)
-        say(f"{held} of {len(results)} held")
+        say(f"{sum(result.success for result in results)} of {len(results)} held")
         for result in results:
             if not result.success:
                 where = f"; watch {result.object}-{result.seed}.rrd" if self.rerun else ""
                 say(f"{result.object}, seed {result.seed}: {explained(result.outcome)}{where}")
-        write_json(self.json, report)
-        watch = view(self.output, "/*.rrd") if self.rerun else None
-        finish({"Results": self.output / RESULTS}, watch)
-        return 0
 
     def scenarios_of(self, base: "Scenario", replay: "Recording | None" = None) -> "list[Scenario]":
         """Returns a scenario per trial, from `base`; a session sets its own object, seed and timeout."""
@@ -305,9 +291,67 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
     return command("explore", methods=retargeter, **named)
 
 
-def _remove_run(folder: Path) -> None:
-    """Removes the results of an earlier run and the files of its trials, which had another scenario."""
-    from geort_drake.export.episode import RESULTS
+def _plans(scenarios: "Sequence[Scenario]", hand: "Hand") -> "dict[str, list[Goal]]":
+    """Returns the goals for each object; leaves out, with a warning, objects that the hand cannot grasp.
+
+    Raises:
+        ScenarioError: the hand can grasp none of the objects.
+    """
+    from geort_drake.console import track, warn
+    from geort_drake.simulation.tasks import find_task
+
+    first = {scenario.object.name: scenario for scenario in reversed(scenarios)}
+    names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
+    plans, refused = {}, []
+    for name in track("planning", names, len(names)):
+        try:
+            plans[name] = find_task(first[name].task).plans(first[name], hand.description)
+        except ScenarioError as error:
+            refused.append(error)
+    if not plans:
+        raise refused[0]
+    for error in refused:
+        warn(f"left out: {error}")
+    return plans
+
+
+def _people(
+    base: "Scenario",
+    scenarios: "Sequence[Scenario]",
+    plans: "dict[str, list[Goal]]",
+    retarget: Any,
+    hand: "Hand",
+    recording: "Recording",
+) -> tuple[Any, list[Any]]:
+    """Returns the map after free play, and for each scenario the person's hand and the selected goal."""
+    from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
+
+    person = persons_hand(scenarios[0], recording)
+    retarget, seen = practise(base, retarget, hand, person)
+    goals = {name: keep_reached(plan, seen)[0] for name, plan in plans.items()}
+    return retarget, [(person, goals[scenario.object.name]) for scenario in scenarios]
+
+
+def _origin(method: str, retarget: Any, path: Path | None) -> str:
+    """Returns where a retargeter comes from, for the user."""
+    from geort_drake.own_method import OwnMethod
+    from geort_drake.retargeting.universal import UniversalRetargeter
+
+    if path is None:
+        return f"{method} (needs no training)"
+    kinds = {OwnMethod: "own method", UniversalRetargeter: "universal"}
+    kind = next((name for one, name in kinds.items() if isinstance(retarget, one)), "")
+    return f"{path} ({kind})" if kind else str(path)
+
+
+def _replace_run(folder: Path, scenario: "Scenario") -> None:
+    """Removes an earlier run's results and files of trials, which had another scenario; writes the new one.
+
+    It is the first trial's; object and seed of the others are in the results.
+    """
+    from geort_drake.export.episode import RESULTS, SCENARIO
+    from geort_drake.files import write_text
+    from geort_drake.simulation.scenario import dump_scenario
 
     results = folder / RESULTS
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # no results, or damaged ones
@@ -319,6 +363,7 @@ def _remove_run(folder: Path) -> None:
             if path.name.partition(".")[0] in names:
                 path.unlink()
     results.unlink(missing_ok=True)
+    write_text(folder / SCENARIO, dump_scenario(scenario))
 
 
 def _keep_recording(recorded: Path, folder: Path) -> None:
