@@ -118,13 +118,13 @@ _display: Display | None = None
 
 
 @contextlib.contextmanager
-def progress_bar(shown: bool = True) -> Iterator[Display]:
+def progress_bar(enabled: bool = True) -> Iterator[Display]:
     """Yields a display for work that may take over two seconds.
 
     A nested display adds its bars to the outer one, and removes them at the end of its block.
     """
     global _display  # noqa: PLW0603 (a terminal has one display)
-    if not shown or console.quiet:
+    if not enabled or console.quiet:
         yield Display(disable=True)
     elif _display is not None:
         before = {*_display.task_ids}

@@ -62,8 +62,8 @@ class OutputError(GeortError, OSError):
 class UnknownNameError(GeortError):
     """A name is unknown; the message lists the valid ones."""
 
-    def __init__(self, kind: str, given: str, choices: Iterable[str]):
-        super().__init__(f"unknown {kind} '{given}'; choose one of: {', '.join(sorted(choices)) or 'none'}")
+    def __init__(self, kind: str, name: str, choices: Iterable[str]):
+        super().__init__(f"unknown {kind} '{name}'; choose one of: {', '.join(sorted(choices)) or 'none'}")
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:

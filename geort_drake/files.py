@@ -46,16 +46,16 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
     Raises:
         OutputError: the disk is full, the location is not writable, or `target` is a folder.
     """
-    given = Path(target)
-    with writing(given):
-        if given.is_dir():
-            raise OutputError(f"{given}: is a directory, not a file")
-        special = given.exists() and not given.is_file()
+    original = Path(target)
+    with writing(original):
+        if original.is_dir():
+            raise OutputError(f"{original}: is a directory, not a file")
+        special = original.exists() and not original.is_file()
         # Opened at once, so that a pipe without a reader is refused before the work.
-        stream = open(os.open(given, os.O_WRONLY | os.O_NONBLOCK), "wb") if special else None
-        target = given if special else Path(os.path.realpath(given))
+        stream = open(os.open(original, os.O_WRONLY | os.O_NONBLOCK), "wb") if special else None
+        target = original if special else Path(os.path.realpath(original))
         if not special and target.is_symlink():
-            raise OutputError(f"{given}: is a link to itself")
+            raise OutputError(f"{original}: is a link to itself")
         folder = None if special else target.parent
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
@@ -166,19 +166,19 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
     Raises:
         OutputError: the nearest existing parent is not a folder or not writable.
     """
-    given = Path(target)
+    original = Path(target)
     # Messages name the path as it was given.
-    target = Path(os.path.realpath(given)) if given.is_symlink() else given
+    target = Path(os.path.realpath(original)) if original.is_symlink() else original
     if not directory and target.is_dir():
-        raise OutputError(f"{given}: is a directory, not a file")
+        raise OutputError(f"{original}: is a directory, not a file")
     if target.exists() and not (target.is_file() or target.is_dir()):
         if not os.access(target, os.W_OK):
-            raise OutputError(f"{given}: cannot be written to")
+            raise OutputError(f"{original}: cannot be written to")
         return
     candidates = (target, *target.parents) if directory else target.parents
     nearest = next(path for path in candidates if path.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        raise OutputError(f"{given}: {nearest} is not a directory that can be written to")
+        raise OutputError(f"{original}: {nearest} is not a directory that can be written to")
 
 
 def is_replaceable(target: str | os.PathLike, mark: str) -> bool:

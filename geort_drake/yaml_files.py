@@ -32,8 +32,8 @@ def check_fields(node: yaml.Node | None, schema: type, name: str = "") -> None:
     choices = ", ".join(sorted(hints))
     if not isinstance(node, yaml.MappingNode):
         what = f"field {name}" if name else "it"
-        given = "nothing" if node is None else _shown(node)
-        raise ValueError(f"{what} must be a mapping with some of: {choices}; given: {given}")
+        text = "nothing" if node is None else _text_of(node)
+        raise ValueError(f"{what} must be a mapping with some of: {choices}; given: {text}")
     for key, value in node.value:
         field = f"{name}.{key.value}".removeprefix(".")
         if key.value in hints:
@@ -52,8 +52,8 @@ def _check_value(node: yaml.Node, kind: Any, name: str) -> None:
         try:
             float(node.value)
         except (TypeError, ValueError):
-            raise ValueError(f"field {name} must be a number; given: {_shown(node)}") from None
+            raise ValueError(f"field {name} must be a number; given: {_text_of(node)}") from None
 
 
-def _shown(node: yaml.Node) -> str:
+def _text_of(node: yaml.Node) -> str:
     return f"'{node.value}'" if isinstance(node, yaml.ScalarNode) else f"a {node.id}"

@@ -178,21 +178,23 @@ def table(frame: pd.DataFrame, methods: Sequence[str]) -> pd.DataFrame:
     judged = frame[frame["error"].isna()]
     rows, reference = [], methods[0]
     for method in methods:
-        own = judged[judged["method"] == method]
-        clusters = [own[name].to_numpy() for name in CLUSTERS]
-        first = own.dropna(subset=["first_attempt"])
-        pairs = pairs_of(judged, method, reference, "success") if method != reference and len(own) else None
+        of_method = judged[judged["method"] == method]
+        clusters = [of_method[name].to_numpy() for name in CLUSTERS]
+        first = of_method.dropna(subset=["first_attempt"])
+        pairs = (
+            pairs_of(judged, method, reference, "success") if method != reference and len(of_method) else None
+        )
         row = {
             "method": method,
-            "trials": len(own),
-            "errors": int((frame["method"] == method).sum()) - len(own),
-            "unattainable": int((own["attainable"] == False).sum()),  # noqa: E712
-            "success": bounded_interval(own["success"].to_numpy(float), clusters),
+            "trials": len(of_method),
+            "errors": int((frame["method"] == method).sum()) - len(of_method),
+            "unattainable": int((of_method["attainable"] == False).sum()),  # noqa: E712
+            "success": bounded_interval(of_method["success"].to_numpy(float), clusters),
             "first_attempt": bounded_interval(
                 first["first_attempt"].to_numpy(float), [first[name].to_numpy() for name in CLUSTERS]
             ),
-            "score": bounded_interval(own["score"].to_numpy(float), clusters),
-            "time": time_interval(own, clusters),
+            "score": bounded_interval(of_method["score"].to_numpy(float), clusters),
+            "time": time_interval(of_method, clusters),
             "difference": Interval(np.nan, np.nan, np.nan),
             "won": 0,
             "lost": 0,

@@ -185,11 +185,11 @@ def _details(report: Report, group: tuple[str, str, str]) -> list[str]:
     ]
     lines = []
     for name in report.methods:
-        own = frame[frame["method"] == name]
-        counts = ", ".join(f"{count} × {ending}" for ending, count in endings(own).most_common())
-        faults = pd.DataFrame([each for each in own["faults"] if isinstance(each, dict)]).sum()
-        told = "".join(f"; {count:.0f} outputs {fault}" for fault, count in faults.items())
-        lines.append(f"- {name}: {counts or '–'}{told}")
+        of_method = frame[frame["method"] == name]
+        counts = ", ".join(f"{count} × {ending}" for ending, count in endings(of_method).most_common())
+        faults = pd.DataFrame([each for each in of_method["faults"] if isinstance(each, dict)]).sum()
+        fault_texts = "".join(f"; {count:.0f} outputs {fault}" for fault, count in faults.items())
+        lines.append(f"- {name}: {counts or '–'}{fault_texts}")
     by_object = markdown_table(["success, %", *map(str, rate.columns)], rows)
     return [by_object] * (len(rate.columns) > 1) + ["Outcomes:", "\n".join(lines)]
 
@@ -236,10 +236,10 @@ def _draw_completion(report: Report) -> Figure | None:
     for axes, group in zip(grid, panels, strict=True):
         judged = report.judged(group)
         for number, name in enumerate(report.methods):
-            own = judged[judged["method"] == name]
-            times = np.sort(own["completion_time"].dropna().to_numpy(float))
-            t = [0.0, *times, own["timeout"].max() if len(own) else 0.0]
-            share = [0.0, *(100 * np.arange(1, len(times) + 1) / max(len(own), 1))]
+            of_method = judged[judged["method"] == name]
+            times = np.sort(of_method["completion_time"].dropna().to_numpy(float))
+            t = [0.0, *times, of_method["timeout"].max() if len(of_method) else 0.0]
+            share = [0.0, *(100 * np.arange(1, len(times) + 1) / max(len(of_method), 1))]
             colour = COLOURS[number % len(COLOURS)]
             axes.step(t, [*share, share[-1]], where="post", label=name, color=colour, linewidth=1.2)
         axes.set(title=", ".join(group[:2]), xlabel="time, s", ylabel="completed, %", ylim=(-2, 102))

@@ -170,10 +170,10 @@ def help_of(name: str) -> str:
 def _overview(names: Sequence[str] = ()) -> str:
     lines = [_USAGE, "Retarget a human hand to a robot hand, and judge the result in a Drake simulation."]
     for purpose, group in GROUPS.items():
-        shown = {name for name in group if not names or name in names}
-        if shown:
+        group_names = {name for name in group if not names or name in names}
+        if group_names:
             lines += ["", f"{purpose}:"]
             lines += [
-                f"  {name:22} {description_of(name).splitlines()[0]}" for name in group if name in shown
+                f"  {name:22} {description_of(name).splitlines()[0]}" for name in group if name in group_names
             ]
     return "\n".join(lines)

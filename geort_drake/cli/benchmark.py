@@ -267,20 +267,20 @@ class Benchmark(Command, ScenarioOptions):
         method, case, seed = self.rrd[0], self.rrd[1], int(self.rrd[2])
         keys = [key_of(row) for row in read_rows(self.output / TRIALS)]
         wanted = {"tasks": "task", "kinds": "kind", "persons": "person", "vary": "condition"}
-        found = [
+        matches = [
             key
             for key in keys
             if (key.method, key.object, key.seed) == (method, case, seed)
             and all(getattr(key, field) in (getattr(self, name) or [getattr(key, field)])
                     for name, field in wanted.items())
         ]  # fmt: skip
-        if len(found) != 1:
-            listed = found or [key for key in keys if key.object == case] or keys
-            what = "trial; several have this method, object and seed" if found else "finished trial"
+        if len(matches) != 1:
+            listed = matches or [key for key in keys if key.object == case] or keys
+            what = "trial; several have this method, object and seed" if matches else "finished trial"
             raise UnknownNameError(what, " ".join(self.rrd), map(str, listed))
         benchmark, _ = stored_benchmark(self.output, [method])
         with progress_bar() as display, display.spinner("simulating"):
-            row, path = benchmark.repeat(found[0])
+            row, path = benchmark.repeat(matches[0])
         if "error" in row:
             say(row["traceback"])
             return 1

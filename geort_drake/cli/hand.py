@@ -99,24 +99,24 @@ class AddHand(Command):
         from geort_drake.hands.importers.conversion import convert_model, unreadable_meshes
         from geort_drake.hands.importers.proposal import propose
 
-        given = self.model
+        source = self.model
         if self.output is not None and self.output.suffix not in (".yaml", ".yml"):
             raise UsageError(f"{self.output}: the name must end with .yaml")
-        name = self.name or "".join(c if c.isalnum() else "_" for c in given.stem)
+        name = self.name or "".join(c if c.isalnum() else "_" for c in source.stem)
         path = self.output or Path(f"{name}.yaml")
         if path.exists() and not self.overwrite:
             raise OutputError(f"{path} exists; choose another --output, or give --overwrite")
         require_writable(path)
-        model = given
+        model = source
         notes: list[str] = []
-        meshes = listed([mesh.name for mesh in unreadable_meshes(given)])
+        meshes = listed([mesh.name for mesh in unreadable_meshes(source)])
         if meshes:
-            model = convert_model(given, path.with_name(f"{path.stem}_model"), notes)
+            model = convert_model(source, path.with_name(f"{path.stem}_model"), notes)
             notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
         proposal = propose(model, name, self.palm, self.hulls)
         notes += proposal.notes
         write_description(
-            proposal.description, path, [f"Made by geort-drake hand add from {given.name}.", *notes]
+            proposal.description, path, [f"Made by geort-drake hand add from {source.name}.", *notes]
         )
         return path, proposal.description, notes
 

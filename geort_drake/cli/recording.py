@@ -116,17 +116,17 @@ class CheckRecording(_Reading):
 
     def _convert(self) -> str | None:
         """Returns the command that converts the file, if other commands would read it differently."""
-        given = {
+        reading = {
             "format": self.format if self.format != "auto" else None,
             "unit": self.unit,
             "rate": self.rate,
         }
-        if not self.mirror and not any(given.values()):
+        if not self.mirror and not any(reading.values()):
             return None
         converted = self.input.with_name(f"{self.input.stem}_converted.npz")
         side = "left" if self.side == "left" else None
         flags = ["--mirror"] if self.mirror else []
-        return command("recording", "convert", self.input, *flags, output=converted, **given, side=side)
+        return command("recording", "convert", self.input, *flags, output=converted, **reading, side=side)
 
     def _watch(self) -> None:
         """Shows the motions that a growing file lacks until none is missing, or Ctrl-C."""

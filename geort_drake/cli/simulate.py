@@ -369,10 +369,10 @@ def _replace_run(folder: Path, scenario: "Scenario") -> None:
 def _keep_recording(recorded: Path, folder: Path) -> None:
     """Moves a complete trial's recording and table to its folder; without them, removes an earlier run's."""
     for file in (recorded, recorded.with_suffix(".parquet")):
-        kept = folder / file.name
-        kept.unlink(missing_ok=True)
+        target = folder / file.name
+        target.unlink(missing_ok=True)
         if file.exists():
-            file.replace(kept)
+            file.replace(target)
     with contextlib.suppress(OSError):  # the folder may contain other files
         recorded.parent.rmdir()
 

@@ -327,9 +327,9 @@ def _lines(
     method: str, protocol: Protocol, rows: Sequence[Row], figures: pd.DataFrame
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yields the label and the figures of each row of a method."""
-    own = [row for row in rows if row["method"] == method and row["protocol"] == protocol.name]
-    cases = {(row["part"], row["seed"]) for row in own}
-    failed = sum("error" in row for row in own)
+    method_rows = [row for row in rows if row["method"] == method and row["protocol"] == protocol.name]
+    cases = {(row["part"], row["seed"]) for row in method_rows}
+    failed = sum("error" in row for row in method_rows)
     label = Path(method).name + (f" ({len(cases) - failed} of {len(cases)})" if failed else "")
     for column in ("mean", "worst_part", "worst_seed"):
         values = figures.set_index("metric")[column].dropna().to_dict()
@@ -338,16 +338,17 @@ def _lines(
 
 
 def _table(title: str, columns: Sequence[Column], lines: Sequence[tuple[str, dict]]) -> Table | None:
-    shown = [column for column in columns if any(column.metric in values for _, values in lines)]
-    if not shown:
+    visible = [column for column in columns if any(column.metric in values for _, values in lines)]
+    if not visible:
         return None
     table = Table(title=title, title_justify="left", box=box.SIMPLE, padding=(0, 1, 0, 0))
     table.add_column("method")
-    for column in shown:
+    for column in visible:
         table.add_column(column.heading, justify="right", no_wrap=True)
     for label, values in lines:
         cells = (
-            column.form.format(values[column.metric]) if column.metric in values else "–" for column in shown
+            column.form.format(values[column.metric]) if column.metric in values else "–"
+            for column in visible
         )
         table.add_row(label, *cells)
     return table

@@ -72,9 +72,9 @@ def excerpt(
         raise RecordingError(
             f"an excerpt from {start_s:g} s on contains {len(times)} hands; at least 2 are needed"
         )
-    found = tracked.at(times + recording.t[0])
+    resampled = tracked.at(times + recording.t[0])
     metadata = {**recording.metadata, "start_s": start_s}
-    return dataclasses.replace(found, t=times - start_s, metadata=metadata)
+    return dataclasses.replace(resampled, t=times - start_s, metadata=metadata)
 
 
 def response(retarget: Callable, hand: Hand, hands: Recording) -> Response:
@@ -127,9 +127,9 @@ def windowed_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.nd
 def _collisions(hand: Hand, q: np.ndarray) -> list[np.ndarray]:
     """Computes `Response.collisions`; as in `metrics.self_collision`, two fingertips may touch."""
     context = hand.contact_context()
-    found = []
+    points = []
     for row in q:
         pairs = hand.query(row, context).ComputePointPairPenetration()
         deep = [(pair.p_WCa + pair.p_WCb) / 2 for pair in pairs if pair.depth > PENETRATION]
-        found.append(np.array(deep).reshape(-1, 3))
-    return found
+        points.append(np.array(deep).reshape(-1, 3))
+    return points

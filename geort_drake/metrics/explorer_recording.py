@@ -157,12 +157,12 @@ def _layout(methods: Sequence[str]) -> views.View:
 
 
 def _text(hands: Recording, methods: Mapping[str, Response], pinches: Pinches) -> str:
-    shown, pinched = methods.values(), pinches.closed
+    responses, pinched = methods.values(), pinches.closed
     table = {
-        "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in shown],
-        "direction of motion kept": [f"{np.nanmean(a.cosine):.2f}" for a in shown],
-        "pinches closed": [f"{a.closed[pinched].mean():.0%}" if pinched.any() else "–" for a in shown],
-        "self-collision": [f"{np.mean([len(points) > 0 for points in a.collisions]):.1%}" for a in shown],
+        "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in responses],
+        "direction of motion kept": [f"{np.nanmean(a.cosine):.2f}" for a in responses],
+        "pinches closed": [f"{a.closed[pinched].mean():.0%}" if pinched.any() else "–" for a in responses],
+        "self-collision": [f"{np.mean([len(points) > 0 for points in a.collisions]):.1%}" for a in responses],
     }
     return _TEXT.format(
         seconds=hands.t[-1],

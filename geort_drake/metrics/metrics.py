@@ -123,12 +123,12 @@ def adapted(retarget: Callable, recording: Recording) -> Callable:
 
 def _require_same_hand(retarget: Callable, hand: Hand) -> None:
     """Raises HandError if a map has other joints or joint limits than the hand."""
-    for name, own in (("joint_names", hand.joint_names), ("lower", hand.lower), ("upper", hand.upper)):
-        given = getattr(retarget, name, own)
-        if len(given) != len(own) or not (np.asarray(given) == own).all():
+    for name, expected in (("joint_names", hand.joint_names), ("lower", hand.lower), ("upper", hand.upper)):
+        actual = getattr(retarget, name, expected)
+        if len(actual) != len(expected) or not (np.asarray(actual) == expected).all():
             raise HandError(
                 f"the retargeter is for another hand than '{hand.description.name}': {name} differ: "
-                f"{list(given)}, expected {list(own)}"
+                f"{list(actual)}, expected {list(expected)}"
             )
 
 
@@ -418,8 +418,8 @@ def jitter(
     noise = rng.normal(scale=NOISE, size=frames.shape)
     _reset(retarget)
     moved_by = fingertips(_in_chunks(retarget, frames + noise)) - p_BF
-    output, given = (np.sqrt((x**2).sum(axis=-1).mean(axis=0)) for x in (moved_by, noise))
-    return float((output / given).mean())
+    output, source = (np.sqrt((x**2).sum(axis=-1).mean(axis=0)) for x in (moved_by, noise))
+    return float((output / source).mean())
 
 
 def engagement(
@@ -465,11 +465,11 @@ def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.nda
     """Evaluates retarget(p_HF) in chunks; hidden layers of a long recording would fill the memory."""
     chunks = [p_HF[i : i + rows] for i in range(0, len(p_HF), rows)]
     q = [retarget(chunk) for chunk in chunks]
-    for given, returned in zip(chunks, q, strict=True):
-        if np.ndim(returned) != 2 or len(returned) != len(given):
+    for points, returned in zip(chunks, q, strict=True):
+        if np.ndim(returned) != 2 or len(returned) != len(points):
             raise ValueError(
                 f"a retargeter must return (N, n) for (N, F, 3); it returned {np.shape(returned)} for "
-                f"{given.shape}"
+                f"{points.shape}"
             )
     joined = np.concatenate(q)
     if lost := np.count_nonzero(~np.isfinite(joined).all(axis=1)):

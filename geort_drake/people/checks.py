@@ -286,8 +286,8 @@ def _contradictions(distance: np.ndarray) -> Iterator[str]:
 def _require_order(p: np.ndarray) -> None:
     order, contradiction = fitting_order(p)
     if order != EXPECTED:
-        given = f"a hand in this order: {order}" if order else f"no hand in any known order: {contradiction}"
-        raise RecordingError(f"wrong joint order: keypoints must be {EXPECTED}, but are {given} (p_HK)")
+        actual = f"a hand in this order: {order}" if order else f"no hand in any known order: {contradiction}"
+        raise RecordingError(f"wrong joint order: keypoints must be {EXPECTED}, but are {actual} (p_HK)")
 
 
 def _require_size(p: np.ndarray, unit: str | None = None) -> None:

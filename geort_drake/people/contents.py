@@ -71,8 +71,8 @@ def frames_of(contents: Any) -> list:
 def array_of(contents: Any, field: str, *shapes: tuple[int, ...]) -> np.ndarray:
     """Returns an archive's array of floats (T, *shape), one of the shapes."""
     if not isinstance(contents, Mapping) or field not in contents:
-        given = ", ".join(map(str, contents)) if isinstance(contents, Mapping) else type(contents).__name__
-        raise RecordingError(f"lacks {field}; it contains {given or 'nothing'}")
+        names = ", ".join(map(str, contents)) if isinstance(contents, Mapping) else type(contents).__name__
+        raise RecordingError(f"lacks {field}; it contains {names or 'nothing'}")
     array = np.asarray(contents[field])
     if array.dtype.kind in "US":
         array = numbers_of(array.tolist(), field)
@@ -169,9 +169,9 @@ def points_of(values: Any, count: int) -> np.ndarray:
     if not isinstance(values, list) or len(values) != count:
         return points
     for i, value in enumerate(values):
-        given = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else value
-        if isinstance(given, list) and len(given) >= 3:
-            points[i] = [number_of(number) for number in given[:3]]
+        coordinates = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else value
+        if isinstance(coordinates, list) and len(coordinates) >= 3:
+            points[i] = [number_of(number) for number in coordinates[:3]]
     return points
 
 

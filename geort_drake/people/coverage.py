@@ -123,10 +123,10 @@ def fingertip_speeds(recording: Recording) -> np.ndarray:
     twice, which would look like a rest followed by a jump.
     """
     fresh = np.concatenate([[True], np.any(np.diff(recording.p_HK, axis=0) != 0.0, axis=(1, 2))])
-    kept = np.flatnonzero(fresh)
-    both = recording.valid[kept[1:]] & recording.valid[kept[:-1]]
-    p_HF = recording.p_HK[:, 4::4][kept].astype(float)
-    return (np.linalg.norm(np.diff(p_HF, axis=0), axis=-1) / np.diff(recording.t[kept])[:, None])[both]
+    new_rows = np.flatnonzero(fresh)
+    both = recording.valid[new_rows[1:]] & recording.valid[new_rows[:-1]]
+    p_HF = recording.p_HK[:, 4::4][new_rows].astype(float)
+    return (np.linalg.norm(np.diff(p_HF, axis=0), axis=-1) / np.diff(recording.t[new_rows])[:, None])[both]
 
 
 def figures(recording: Recording) -> dict[str, Any]:

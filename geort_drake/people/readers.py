@@ -54,16 +54,16 @@ def read_recording(
     """
     path = Path(path)
     names = {"side": SIDES, "unit": UNITS_M, "format": (AUTO, OWN, *FORMATS)}
-    for kind, given in (("side", side), ("unit", unit), ("format", format)):
-        if given is not None and given not in names[kind]:
-            raise UnknownNameError(kind, given, names[kind])
+    for kind, name in (("side", side), ("unit", unit), ("format", format)):
+        if name is not None and name not in names[kind]:
+            raise UnknownNameError(kind, name, names[kind])
     contents = load(path)
     try:
         is_own = isinstance(contents, dict) and "p_HK" in contents
         if (is_own and format == AUTO) or format == OWN:
-            recording = _own(contents, side, unit)
+            recording = _read_own(contents, side, unit)
         else:
-            recording = _foreign(path, contents, side, format, unit, rate_hz)
+            recording = _read_foreign(path, contents, side, format, unit, rate_hz)
         recording = examine(recording)
         if training and (faults := training_faults(recording)):
             raise RecordingError("; ".join(faults))
@@ -72,7 +72,7 @@ def read_recording(
     return recording
 
 
-def _own(contents: dict, side: str, unit: str | None) -> Recording:
+def _read_own(contents: dict, side: str, unit: str | None) -> Recording:
     if unit not in (None, "m"):
         raise RecordingError(f"geort-drake's own files are in metres, not in {unit}")
     recording = Recording.from_arrays(contents)
@@ -82,7 +82,7 @@ def _own(contents: dict, side: str, unit: str | None) -> Recording:
     return recording
 
 
-def _foreign(
+def _read_foreign(
     path: Path, contents: object, side: str, format: str, unit: str | None, rate_hz: float | None
 ) -> Recording:
     """Returns a recording in another format than the package's own, unchecked."""
@@ -169,11 +169,11 @@ def _repeats(t: np.ndarray, p_WK: np.ndarray) -> np.ndarray:
     return same
 
 
-def _require_side(given: str, expected: str) -> None:
-    if given != expected:
+def _require_side(stated: str, expected: str) -> None:
+    if stated != expected:
         raise RecordingError(
-            f"the file contains a {given} hand, a {expected} one was requested; give --side {given} or a "
-            f"{given} robot hand, or convert it with --side {given} --mirror"
+            f"the file contains a {stated} hand, a {expected} one was requested; give --side {stated} or a "
+            f"{stated} robot hand, or convert it with --side {stated} --mirror"
         )
 
 

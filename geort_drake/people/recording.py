@@ -75,8 +75,8 @@ class Recording:
                 continue
             array = np.asarray(getattr(self, name))
             if array.dtype.kind not in "fiub" or array.shape != shape:
-                given = f"{array.dtype} {array.shape}"
-                raise RecordingError(f"recording: {name} must be numbers of shape {shape}, not {given}")
+                actual = f"{array.dtype} {array.shape}"
+                raise RecordingError(f"recording: {name} must be numbers of shape {shape}, not {actual}")
             # Numbers beyond float32 become infinite, which counts as lost.
             with np.errstate(over="ignore"):
                 object.__setattr__(self, name, array.astype(dtype, copy=False))
@@ -236,12 +236,12 @@ def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
 def _checked_metadata(metadata: dict) -> dict:
     """Returns the metadata without fields of unexpected types, which are added to its warnings."""
     bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field), kind | None)]
-    kept = {field: value for field, value in metadata.items() if field not in bad}
-    if bad or "warnings" in kept:
-        warnings = [warning for warning in kept.get("warnings", []) if isinstance(warning, str)]
+    usable = {field: value for field, value in metadata.items() if field not in bad}
+    if bad or "warnings" in usable:
+        warnings = [warning for warning in usable.get("warnings", []) if isinstance(warning, str)]
         warnings += [f"metadata {field} must be {_METADATA[field].__name__}; left out" for field in bad]
-        kept["warnings"] = warnings
-    return kept
+        usable["warnings"] = warnings
+    return usable
 
 
 def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:

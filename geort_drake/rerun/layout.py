@@ -166,14 +166,14 @@ class Layout:
         points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
         trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
         target, eye = self._target_and_eye(poses, hands)
-        shown = [scene_view(eye, target, overrides=trails)]
-        shown += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
+        top = [scene_view(eye, target, overrides=trails)]
+        top += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
         pages = _plots(of(SignalSpec))
         forces = time_series("contact force [N]", ["/contact/**"], legend="left")
         pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
         if self.has_text:
-            shown.append(rrb.TextDocumentView(origin=ABOUT, name="what you see"))
-        bands: list[View] = [rrb.Horizontal(*shown)]
+            top.append(rrb.TextDocumentView(origin=ABOUT, name="what you see"))
+        bands: list[View] = [rrb.Horizontal(*top)]
         shares = [_VIEWS]
         if states := [entity_path(key) for key in of(StateSpec)]:
             bands.append(rrb.StateTimelineView(origin="/", contents=states, name="phase"))

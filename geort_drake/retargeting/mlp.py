@@ -69,8 +69,10 @@ class MlpRetargeter(Retargeter):
     def _layer1(self, h: np.ndarray) -> np.ndarray:
         """Multiplies rows h (N, H) by the block-diagonal weights of layer 1."""
         F, width = self._weight1.shape[:2]
-        own = h[:, : F * width].reshape(-1, F, width).swapaxes(0, 1) @ self._weight1
-        return np.hstack([own.swapaxes(0, 1).reshape(len(h), F * width), h[:, F * width :] @ self._residual1])
+        fingers = h[:, : F * width].reshape(-1, F, width).swapaxes(0, 1) @ self._weight1
+        return np.hstack(
+            [fingers.swapaxes(0, 1).reshape(len(h), F * width), h[:, F * width :] @ self._residual1]
+        )
 
 
 def _silu(u: np.ndarray) -> np.ndarray:

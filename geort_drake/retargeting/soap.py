@@ -42,8 +42,8 @@ class Soap:
             clip: largest norm of all gradients together.
         """
         defaults: dict[str, Any] = {"lr": lr, "betas": betas, "eps": eps, "weight_decay": weight_decay}
-        given: list[Any] = list(parameters)
-        groups = given if isinstance(given[0], dict) else [{"params": given}]
+        entries: list[Any] = list(parameters)
+        groups = entries if isinstance(entries[0], dict) else [{"params": entries}]
         self.param_groups = [{**defaults, **group, "params": list(group["params"])} for group in groups]
         self._clip = clip
         self._states = [_State(group["params"]) for group in self.param_groups]

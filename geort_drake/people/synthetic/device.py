@@ -75,7 +75,7 @@ class Device:
             scale_noise=rng.uniform(*_SCALE_NOISE) if camera else 0.0,
         )
 
-    def shown(self, hand: HumanHand) -> HumanHand:
+    def measured_hand(self, hand: HumanHand) -> HumanHand:
         """Returns the hand as the device shows it, before noise and the error of the wrist."""
         lengths = self.scale * hand.lengths
         lengths[:, 2] += self.tip_m

@@ -279,8 +279,8 @@ def pinch_postures(hand: HumanHand, finger: int, rng: np.random.Generator) -> np
     slide, still_near = _close_pinch(
         hand, finger, touch + other_motion.reshape(tries, 20), rng.normal(0.0, 0.008, (tries, 3)), gap
     )
-    kept = np.flatnonzero(near & still_near)[:2]
-    return np.stack([touch[kept], slide[kept]], axis=1)
+    successes = np.flatnonzero(near & still_near)[:2]
+    return np.stack([touch[successes], slide[successes]], axis=1)
 
 
 def _close_pinch(

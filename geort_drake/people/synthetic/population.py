@@ -231,7 +231,7 @@ def _keypoints(seed: int, duration_s: float, rate_hz: float, number: int) -> np.
 def _sample_measured_hand(rng: np.random.Generator) -> tuple[Device, HumanHand, np.ndarray]:
     """Draws a device, the hand that it shows, and the rest posture (20,) of that hand, rad."""
     device = Device.sample(rng)
-    hand = device.shown(_sample_hand(rng))
+    hand = device.measured_hand(_sample_hand(rng))
     return device, hand, _scaled_to_range(hand, np.deg2rad(play.resting(rng)).ravel())
 
 

@@ -82,13 +82,13 @@ class Criteria:
             [hands.moved.shape[1], hands.after.shape[1], hands.pinching.shape[1]], dim=1
         )
         motion = ahead - moved
-        own = of_finger(motion, hands.finger)
-        cosine = cosine_similarity(own, hands.d, dim=-1, eps=1e-7)
+        finger_motion = of_finger(motion, hands.finger)
+        cosine = cosine_similarity(finger_motion, hands.d, dim=-1, eps=1e-7)
         terms = {
             "direction": _same_figure(_worse_half((1.0 - cosine).mean(1))),
             "track": _same_figure(_worse_half(self._track(hands, after - before))),
             "cross_talk": _same_figure(_worse_half(_cross_talk(motion, hands.finger))),
-            "size": self._size_error(own, cosine, hands),
+            "size": self._size_error(finger_motion, cosine, hands),
             **self._pinches(hands, pinching),
             "false_pinch": self._false_pinches(seen, seen_tips),
         }
@@ -104,7 +104,7 @@ class Criteria:
         return (error * weight).sum((1, 2)) / (weight.sum((1, 2)) + 1e-9)
 
     def _size_error(
-        self, own: torch.Tensor, cosine: torch.Tensor, hands: Hands
+        self, finger_motion: torch.Tensor, cosine: torch.Tensor, hands: Hands
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Returns the mean excess of the log gain over its band, and its frequency.
 
@@ -114,7 +114,9 @@ class Criteria:
         settings, fingers = self._settings, hands.moved.shape[2]
         length = hands.shapes[:, 3 * fingers :].gather(1, hands.finger)
         reference = torch.log(self._size[hands.finger] / length)
-        gain = 0.5 * torch.log((own.square().sum(-1) + 1e-10) / hands.d.square().sum(-1)) - reference
+        gain = (
+            0.5 * torch.log((finger_motion.square().sum(-1) + 1e-10) / hands.d.square().sum(-1)) - reference
+        )
         counted = torch.ones_like(gain)
         if self._few_joints.any():
             limited = self._few_joints[hands.finger]
@@ -221,9 +223,9 @@ class Multipliers:
 def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
     """Returns (G,) the others' mean motion over the moved finger's; `floor`, m, keeps gradients finite."""
     length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
-    own = length.gather(2, finger[..., None])[..., 0]
-    others = (length.sum(2) - own) / (motion.shape[2] - 1)
-    return others.mean(1) / (own.mean(1) + floor)
+    length_moved = length.gather(2, finger[..., None])[..., 0]
+    others = (length.sum(2) - length_moved) / (motion.shape[2] - 1)
+    return others.mean(1) / (length_moved.mean(1) + floor)
 
 
 def _worse_half(values: torch.Tensor) -> torch.Tensor:

@@ -89,10 +89,12 @@ class UniversalNetwork(nn.Module):
 
     def groups(self, weight_decay: float) -> list[dict]:
         """Returns parameter groups for an optimiser; parts that see combinations decay faster."""
-        own = [*self.weights, *self.biases]
-        shared = [parameter for parameter in self.parameters() if all(parameter is not one for one in own)]
+        of_fingers = [*self.weights, *self.biases]
+        shared = [
+            parameter for parameter in self.parameters() if all(parameter is not one for one in of_fingers)
+        ]
         return [
-            {"params": own, "weight_decay": weight_decay},
+            {"params": of_fingers, "weight_decay": weight_decay},
             {"params": shared, "weight_decay": 3.0 * weight_decay},
         ]
 

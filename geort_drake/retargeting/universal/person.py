@@ -178,10 +178,10 @@ class UniversalRetargeter(Retargeter):
         # x' = p M + v of each finger.
         knuckles = shape[: 3 * fingers].reshape(fingers, 3)
         lengths = shape[3 * fingers :, None]
-        own = np.eye(3) + inputs[: 9 * fingers].reshape(fingers, 3, 3)
-        M = own / (lengths * arrays["input_scale"])[:, :, None]
+        affine = np.eye(3) + inputs[: 9 * fingers].reshape(fingers, 3, 3)
+        M = affine / (lengths * arrays["input_scale"])[:, :, None]
         origin = (knuckles / lengths + arrays["input_mean"]) / arrays["input_scale"]
-        v = inputs[9 * fingers :].reshape(fingers, 1, 3) - origin[:, None] @ own
+        v = inputs[9 * fingers :].reshape(fingers, 1, 3) - origin[:, None] @ affine
 
         shared, pairs = np.split(arrays["residual_weight0"], [3 * fingers])
         shared = shared.reshape(fingers, 3, -1)
