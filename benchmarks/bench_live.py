@@ -65,7 +65,7 @@ READ_PAGE = """
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = parser(__doc__)
-    options.add_argument("--retargeter", type=Path, help="checkpoint (default: the command's)")
+    options.add_argument("--retargeter", type=Path, help="map (default: the command's)")
     options.add_argument("--film", type=Path, help="Motion JPEG film of a hand for the page's camera")
     options.add_argument("--rate", type=float, default=72.0, help="hands per second")
     options.add_argument("--scenario-text", default="{}", help="YAML merged into the scenario")

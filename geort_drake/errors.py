@@ -23,8 +23,8 @@ class HandError(GeortError):
     """A hand description or its model is missing, malformed or inconsistent."""
 
 
-class CheckpointError(GeortError):
-    """A checkpoint is missing, incomplete, altered or made for something else."""
+class MapError(GeortError):
+    """The file of a trained map is missing, damaged or of a map for another hand."""
 
 
 class ScenarioError(GeortError):

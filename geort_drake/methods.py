@@ -34,7 +34,7 @@ def names_of(methods: Sequence[str], hand: Hand | None = None) -> dict[str, str]
         UnknownNameError: an entry is neither a method nor a map or a Python file.
         MethodError: a Python file is missing.
         BenchmarkError: two different entries have the same name.
-        CheckpointError: a map is damaged or for another hand, or no map is shipped for `hand`.
+        MapError: a map is damaged or for another hand, or no map is shipped for `hand`.
     """
     names: dict[str, str] = {}
     for method in methods:

@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         help=f"pictures to make, of {', '.join(PICTURES)} (default: all)",
     )
     add("--recording", type=Path, metavar="FILE", help="recording to explore (default: synthetic play)")
-    add("--retargeter", metavar="NAME", default="universal", help="method or checkpoint (default: universal)")
+    add("--retargeter", metavar="NAME", default="universal", help="method or map (default: universal)")
     add(
         "--glove",
         type=Path,

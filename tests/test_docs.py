@@ -67,7 +67,7 @@ SNIPPETS = [
 
 @pytest.fixture(scope="module")
 def desk(light_desk, play):
-    """A folder with the files that snippets name: a checkpoint, recordings, a robot."""
+    """A folder with the files that snippets name: a map, recordings, a robot."""
     folder = light_desk
     play.save(folder / "hand.npz")
     np.save(folder / "hand.npy", play.p_HK)

@@ -68,7 +68,7 @@ DIGESTS = ["9bb76b37a45136d0", "06a693eef3b0f675", "59d2d7f8cb1425a2"]
 
 @pytest.mark.parametrize(("name", "digest"), [*zip(SHIPPED_HANDS, DIGESTS, strict=True)])
 def test_shipped_hands_start_free_and_pinch(name, digest):
-    """No self-collision at the start; the thumb's tip reaches every other one. Saved checkpoints fit."""
+    """No self-collision at the start; the thumb's tip reaches every other one. Saved maps fit."""
     hand = Hand(name)
     assert hand.digest.startswith(digest)
     assert not hand.collides(hand.default_position)

@@ -126,7 +126,7 @@ def test_a_real_robots_session_is_recorded_with_its_joints(tmp_path):
 
 
 def test_with_consent_every_session_is_recorded_from_its_engagement_and_can_be_replayed(tmp_path):
-    """Without a checkpoint: by the shipped map for the person in the session, with the object as it was."""
+    """Without a map's file: by the shipped map for the person in the session, with the object as it was."""
     page = Page(tmp_path)
     page.run(Record(keep=True), steps=20)
     page.run(Engage(), steps=30)

@@ -88,7 +88,7 @@ def test_play_is_fit_for_training_and_as_noisy_as_a_glove(play):
 
 
 def test_the_seed_decides_everything():
-    """Cached checkpoints are found by this digest; a generator works as well, and other seeds differ."""
+    """Cached maps are found by this digest; a generator works as well, and other seeds differ."""
     first = synthesize_play(0, duration_s=10.0)
     assert first.digest == "75fb1d2a5f9144e47161ea0c6ee9302b363b0130f7fdd7404a524d8592fa4a3f"
     assert synthesize_play(np.random.default_rng(0), duration_s=10.0).digest == first.digest

@@ -7,7 +7,7 @@ import pytest
 from faults.sound import TIPS, map_file, play, smooth_arrays
 
 from geort_drake import load_retargeter
-from geort_drake.errors import CheckpointError, GeortError
+from geort_drake.errors import GeortError, MapError
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.retargeting.mlp import MlpRetargeter
@@ -44,7 +44,7 @@ def test_a_flipped_byte_in_the_header_and_a_short_file_are_refused(tmp_path):
     ):
         assert contents != whole
         path.write_bytes(contents)
-        with pytest.raises(CheckpointError, match=rf"map\.safetensors.*{message}"):
+        with pytest.raises(MapError, match=rf"map\.safetensors.*{message}"):
             load_retargeter(path)
 
 
@@ -53,7 +53,7 @@ def test_a_map_for_another_hand_is_refused_and_for_another_version_told(tmp_path
     path = map_file(tmp_path)
     facts = {name: getattr(allegro, name) for name in ("finger_names", "joint_names", "digest")}
     other = SimpleNamespace(**facts | {"joint_names": ["a", "b"]})
-    with pytest.raises(CheckpointError, match=r"another hand \(allegro_right\).*joint_12.*expected a, b"):
+    with pytest.raises(MapError, match=r"another hand \(allegro_right\).*joint_12.*expected a, b"):
         load_retargeter(path, other)
     with pytest.warns(RuntimeWarning, match="another version of the hand's model"):
         load_retargeter(path, SimpleNamespace(**facts | {"digest": "def"}))
@@ -77,8 +77,8 @@ def test_shipped_maps_load_by_the_name_of_their_hand(allegro, leap):
         retarget = load_retargeter(name, hand)
         assert name in retarget.robot_hands and list(retarget.joint_names) == list(hand.joint_names)
         assert METHODS["universal"].fit(hand).robot_hands == retarget.robot_hands
-    with pytest.raises(CheckpointError, match=r"no such map.*allegro_right"):
+    with pytest.raises(MapError, match=r"no such map.*allegro_right"):
         load_retargeter("allegro_middle")
     other = SimpleNamespace(description=SimpleNamespace(name="claw"))
-    with pytest.raises(CheckpointError, match=f"shipped for claw, only for {', '.join(shipped_maps())}"):
+    with pytest.raises(MapError, match=f"shipped for claw, only for {', '.join(shipped_maps())}"):
         METHODS["universal"].fit(other)

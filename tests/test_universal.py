@@ -10,7 +10,7 @@ import torch
 from retargeting_toy import toy_kinematics
 
 from geort_drake import load_retargeter
-from geort_drake.errors import CheckpointError, GeortError, MismatchError, RecordingError, TrainingError
+from geort_drake.errors import GeortError, MapError, MismatchError, RecordingError, TrainingError
 from geort_drake.hands.collision_shapes import canonical_shapes
 from geort_drake.hands.hand import Hand, canonical_kinematics
 from geort_drake.people.keypoints import mirrored
@@ -143,9 +143,9 @@ def test_weights_that_do_not_fit_are_refused():
         ({"input_scale": -np.ones((4, 3))}, "'input_scale' must be positive"),
         ({"weight1": np.full(retarget.arrays["weight1"].shape, np.nan)}, "'weight1' must be finite"),
     ):
-        with pytest.raises(CheckpointError, match=message):
+        with pytest.raises(MapError, match=message):
             UniversalRetargeter(*names, {**retarget.arrays, **change})
-    with pytest.raises(CheckpointError, match="'thumb' is missing"):
+    with pytest.raises(MapError, match="'thumb' is missing"):
         UniversalRetargeter(("index", "middle", "ring", "little"), *names[1:], retarget.arrays)
 
 

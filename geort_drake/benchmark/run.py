@@ -156,7 +156,7 @@ class Benchmark:
 
     Raises:
         BenchmarkError: the folder's trials have other settings.
-        UnknownNameError, HandError, CheckpointError, TrainingError: see `resolve`.
+        UnknownNameError, HandError, MapError, TrainingError: see `resolve`.
     """
 
     def __init__(

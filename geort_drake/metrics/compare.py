@@ -16,7 +16,7 @@ from rich.rule import Rule
 from rich.table import Table
 from rich.text import Text
 
-from geort_drake.errors import CheckpointError, GeortError, RecordingError
+from geort_drake.errors import GeortError, MapError, RecordingError
 from geort_drake.files import finite_json
 from geort_drake.hands.hand import Hand
 from geort_drake.methods import PYTHON_SUFFIX, resolve
@@ -220,20 +220,20 @@ def _weight(metric: str, metrics: Mapping[str, float | None]) -> float:
 
 
 def _check_training(name: str, protocol: Protocol, case: Case) -> None:
-    """Raises CheckpointError unless the training of a map of one person fits the protocol."""
+    """Raises MapError unless the training of a map of one person fits the protocol."""
     recording = load_retargeter(name).info.get("provenance", {}).get("recording")
     if recording is None:
         return  # a universal map
     if protocol.name == HELD_OUT:
-        raise CheckpointError(f"{name}: a map cannot be trained without the block; name its method instead")
+        raise MapError(f"{name}: a map cannot be trained without the block; name its method instead")
     known = recording["sha256"] == case.scored_on.digest
     if protocol.name == SAME_PERSON and not known:
-        raise CheckpointError(
+        raise MapError(
             f"{name}: was trained on another recording than {case.part}; give that one to --recording, "
             "and this one to --score-on"
         )
     if protocol.name != SAME_PERSON and known:
-        raise CheckpointError(f"{name}: was trained on {case.part}; give another person's recording")
+        raise MapError(f"{name}: was trained on {case.part}; give another person's recording")
 
 
 def summary(rows: Sequence[Row]) -> pd.DataFrame:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from safetensors.numpy import save
 
-from geort_drake.errors import CheckpointError, GeortError, UnknownNameError
+from geort_drake.errors import GeortError, MapError, UnknownNameError
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.clouds import TrainedSpace
@@ -58,7 +58,7 @@ class Retargeter(ABC):
 
         Raises:
             UnknownNameError: a finger's name has no keypoint.
-            CheckpointError: an array is missing, has a wrong shape or is not finite.
+            MapError: an array is missing, has a wrong shape or is not finite.
         """
         if human_keypoints is None:
             for name in finger_names:
@@ -76,7 +76,7 @@ class Retargeter(ABC):
             self._prepare(arrays)
 
     def _prepare(self, arrays: Mapping[str, np.ndarray]) -> None:  # noqa: B027 (methods without weights)
-        """Checks the weights and converts them for `_angles`; raises CheckpointError."""
+        """Checks the weights and converts them for `_angles`; raises MapError."""
 
     @abstractmethod
     def _angles(self, p_HF: np.ndarray) -> np.ndarray:
@@ -205,10 +205,10 @@ def require_array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int,
     """Returns the named array, in double precision; −1 in `shape` is any size but 0.
 
     Raises:
-        CheckpointError: it is missing, has another shape or is not finite.
+        MapError: it is missing, has another shape or is not finite.
     """
     if name not in arrays:
-        raise CheckpointError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
+        raise MapError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
     value = np.asarray(arrays[name])
     fits = value.ndim == len(shape) and all(
         size == expected or (expected == -1 and size > 0)
@@ -217,7 +217,7 @@ def require_array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int,
     with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
         usable = fits and value.dtype.kind in "fiu" and np.isfinite(value.astype(np.float32)).all()
     if not usable:
-        raise CheckpointError(
+        raise MapError(
             f"weights: '{name}' must be finite and of shape {shape}, it is of shape {value.shape} and type "
             f"{value.dtype}"
         )

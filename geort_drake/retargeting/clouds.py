@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geort_drake.errors import CheckpointError
+from geort_drake.errors import MapError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 
 TRAINED_VOXEL = 0.006  # m; edge of the voxels that thin the points of `TrainedSpace`
@@ -59,14 +59,14 @@ class TrainedSpace:
         """Takes positions, and the keypoint of each finger.
 
         Raises:
-            CheckpointError: the positions have a wrong shape or are not finite.
+            MapError: the positions have a wrong shape or are not finite.
         """
         self.points = np.asarray(points, dtype=np.float32)
         fingers = len(human_keypoints)
         if self.points.shape != (fingers, self.points.size // max(3 * fingers, 1), 3) or not (
             self.points.size and np.isfinite(self.points).all()
         ):
-            raise CheckpointError(
+            raise MapError(
                 f"trained points must be finite and of shape ({fingers}, M, 3), not {self.points.shape}"
             )
         self._keypoints = np.array(human_keypoints, dtype=int)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from geort_drake.errors import CheckpointError
+from geort_drake.errors import MapError
 from geort_drake.retargeting.base import Retargeter, require_array
 
 
@@ -27,7 +27,7 @@ class MlpRetargeter(Retargeter):
         k = require_array(arrays, "weight2", (F, h, -1)).shape[2]
         columns = require_array(arrays, "columns", (len(self.joint_names),)).astype(int)
         if len(set(columns)) != len(columns) or not (columns.min() >= 0 and columns.max() < F * k):
-            raise CheckpointError(f"weights: columns must be different numbers below {F * k}, not {columns}")
+            raise MapError(f"weights: columns must be different numbers below {F * k}, not {columns}")
         r = 0
         if "residual_weight0" in arrays:
             r = require_array(arrays, "residual_weight0", (3 * F, -1)).shape[1]

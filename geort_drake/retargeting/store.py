@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 from safetensors import safe_open
 
-from geort_drake.errors import CheckpointError
+from geort_drake.errors import MapError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.base import FORMAT, HEADER, TRAINED_POINTS, Retargeter
@@ -53,11 +53,11 @@ def load_retargeter(source: str | os.PathLike, hand: RobotHand | None = None) ->
             the model causes a RuntimeWarning.
 
     Raises:
-        CheckpointError: the file is missing or damaged, or the map is for another hand.
+        MapError: the file is missing or damaged, or the map is for another hand.
     """
     path = shipped_maps().get(os.fspath(source), Path(source))
     if not path.is_file():
-        raise CheckpointError(
+        raise MapError(
             f"{path}: no such map, which geort-drake train writes; maps shipped with this version are for "
             f"{', '.join(shipped_maps()) or 'no hand'}"
         )
@@ -71,8 +71,8 @@ def load_retargeter(source: str | os.PathLike, hand: RobotHand | None = None) ->
         retargeter = _KINDS[header["kind"]](*names, header["human_keypoints"], *limits, arrays)
         if points is not None:
             retargeter.trained_space = TrainedSpace(points, header["human_keypoints"])
-    except CheckpointError as error:
-        raise CheckpointError(f"{path}: {error}") from error
+    except MapError as error:
+        raise MapError(f"{path}: {error}") from error
     retargeter.robot_hands, retargeter.info = tuple(header["robot_hands"]), header["info"]
     if hand is not None:
         _check_hand(path, retargeter, hand)
@@ -83,11 +83,11 @@ def fit(hand: Any, p_HF: np.ndarray | None = None, **_options: Any) -> Retargete
     """Loads the universal map that is shipped for a hand; see `Method.fit`.
 
     Raises:
-        CheckpointError: there is none.
+        MapError: there is none.
     """
     name = hand.description.name
     if name not in shipped_maps():
-        raise CheckpointError(
+        raise MapError(
             f"no universal map is shipped for {name}, only for {', '.join(shipped_maps()) or 'no hand'}; "
             "geort-drake train makes one"
         )
@@ -113,18 +113,18 @@ def _read_header(path: Path) -> dict[str, Any]:
 
     def require(holds: Any, message: str) -> None:
         if not holds:
-            raise CheckpointError(f"{path}: {message}")
+            raise MapError(f"{path}: {message}")
 
     try:
         with safe_open(path, "numpy") as file:
             text = (file.metadata() or {}).get(HEADER, "")
     except Exception as error:  # safetensors raises exceptions of its own and built-in ones
-        raise CheckpointError(f"{path}: not a safetensors file: {error}") from error
+        raise MapError(f"{path}: not a safetensors file: {error}") from error
     require(bool(text), "not a map of geort-drake: its header has no 'geort_drake'")
     try:
         header = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise CheckpointError(f"{path}: the header is not valid JSON: {error}") from error
+        raise MapError(f"{path}: the header is not valid JSON: {error}") from error
     require(isinstance(header, dict), "the header must contain a JSON object")
     require(header.get("format") == FORMAT, f"format is {header.get('format')}, this version reads {FORMAT}")
     require(header.get("kind") in _KINDS, f"kind must be one of {', '.join(_KINDS)}: {header.get('kind')}")
@@ -154,7 +154,7 @@ def _check_hand(path: Path, retargeter: Retargeter, hand: RobotHand) -> None:
     for what in ("finger_names", "joint_names"):
         expected, names = tuple(getattr(hand, what)), getattr(retargeter, what)
         if expected != names:
-            raise CheckpointError(
+            raise MapError(
                 f"{path}: the map is for another hand ({', '.join(retargeter.robot_hands)}); its "
                 f"{what.replace('_', ' ')} are {', '.join(names)}, expected {', '.join(expected)}; choose "
                 "that hand with --hand, or train a map for this one"

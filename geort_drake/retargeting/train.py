@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geort_drake.console import progress_bar, say
-from geort_drake.errors import CheckpointError, RecordingError, TrainingError
+from geort_drake.errors import MapError, RecordingError, TrainingError
 from geort_drake.files import locked, require_writable, source_digest
 from geort_drake.people.coverage import finger_motions
 from geort_drake.people.readers import read_recording
@@ -179,7 +179,7 @@ def _is_usable(path: Path, hand: "Hand") -> bool:
     """Whether there is an undamaged map for the hand; repeats the warnings of its training."""
     try:
         info = load_retargeter(path, hand).info
-    except CheckpointError:
+    except MapError:
         return False
     for text in info["provenance"]["warnings"]:
         warnings.warn(text, RuntimeWarning, stacklevel=3)

@@ -322,7 +322,7 @@ SCENARIOS: dict[str, tuple[Make, str]] = {
 
 CASES = [
     *(Case("recording", name, make, "RecordingError", text) for name, (make, text) in RECORDINGS.items()),
-    *(Case("map", name, make, "CheckpointError", text) for name, (make, text) in MAPS.items()),
+    *(Case("map", name, make, "MapError", text) for name, (make, text) in MAPS.items()),
     *(Case("hand", name, make, "HandError", text) for name, (make, text) in HANDS.items()),
     *(Case("scenario", name, make, "ScenarioError", text) for name, (make, text) in SCENARIOS.items()),
 ]

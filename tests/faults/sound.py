@@ -1,4 +1,4 @@
-"""Valid inputs for fault injection: a recording, a retargeter for it, and its checkpoint."""
+"""Valid inputs for fault injection: a recording, a retargeter for it, and its file."""
 
 from functools import cache
 from pathlib import Path

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from geort_drake.errors import CheckpointError
+from geort_drake.errors import MapError
 from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.base import Retargeter, require_array
@@ -51,11 +51,9 @@ class UniversalRetargeter(Retargeter):
     def _prepare(self, arrays: Mapping[str, np.ndarray]) -> None:
         names = self.finger_names
         if unknown := [name for name in names if name not in TIP_KEYPOINT]:
-            raise CheckpointError(
-                f"finger_names: unknown {unknown[0]!r}; known are {', '.join(TIP_KEYPOINT)}"
-            )
+            raise MapError(f"finger_names: unknown {unknown[0]!r}; known are {', '.join(TIP_KEYPOINT)}")
         if "thumb" not in names:
-            raise CheckpointError(f"finger_names: 'thumb' is missing; there are {', '.join(names)}")
+            raise MapError(f"finger_names: 'thumb' is missing; there are {', '.join(names)}")
         self._thumb, fingers = names.index("thumb"), len(names)
         units = require_array(arrays, "shape_weight0", (4 * fingers, -1)).shape[1]
         hidden = require_array(arrays, "weight0", (fingers, 3, -1)).shape[2]
@@ -86,7 +84,7 @@ class UniversalRetargeter(Retargeter):
         weights = dict(arrays) | {name: require_array(arrays, name, shape) for name, shape in shapes.items()}
         for name in ("shape_deviation", "input_scale"):
             if not (weights[name] > 0).all():
-                raise CheckpointError(f"weights: '{name}' must be positive")
+                raise MapError(f"weights: '{name}' must be positive")
         self._weights = weights
         self._folded(weights["shape_mean"])  # also checks the arrays of the fingers
 
