@@ -83,7 +83,7 @@ def test_a_projected_pinch_brings_the_tips_together(kinematics):
 
 
 @pytest.mark.parametrize("name", ["affine_ik", "anyteleop", "dexpilot", "hold"])
-def test_limits_are_respected_and_every_shape_is_answered(kinematics, name):
+def test_limits_are_respected_and_every_input_shape_is_accepted(kinematics, name):
     """Wild hands stay inside the limits; fingertips and whole hands, one or many, are taken."""
     rng = np.random.default_rng(12)
     frames = rng.uniform(-0.3, 0.3, (12, 4, 3))
@@ -115,7 +115,7 @@ def test_a_batch_is_a_sequence_and_reset_forgets_it(kinematics, method):
     np.testing.assert_array_equal(online(frames[0]), together[0])
 
 
-def test_settled_answers_have_no_memory(kinematics):
+def test_settled_outputs_do_not_depend_on_earlier_calls(kinematics):
     """The same hand gets the same answer, in any order and company, and a held one stays."""
     frames = walk(kinematics, 20)
     online = DexPilot(kinematics)
@@ -129,7 +129,7 @@ def test_settled_answers_have_no_memory(kinematics):
     assert np.abs(hand.fingertips(answers[-1:]) - hand.fingertips(first[-1:])).max() < 1e-3
 
 
-def test_the_affine_map_puts_one_workspace_onto_the_other(kinematics):
+def test_the_affine_map_maps_one_workspace_to_the_other(kinematics):
     """Means and spreads match; what the robot can reach it reaches, whatever it was asked before."""
     frames = walk(kinematics)
     affine = AffineIK(kinematics, frames)

@@ -134,7 +134,7 @@ def test_a_submitted_method_adds_its_row_with_the_settings_of_the_others(copy, t
         run_command("benchmark", ["--output", str(copy), "--submit", "hold", "--trials", "3"])
 
 
-def test_other_settings_are_refused_by_name_and_other_versions_are_told(copy, capsys):
+def test_other_settings_are_refused_by_name_and_other_versions_cause_a_warning(copy, capsys):
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
     for options, message in (
         (["--scenario-text", "{timeout: 0.4}"], r"another grasp servo\.timeout: 0\.3, not 0\.4"),
@@ -218,7 +218,9 @@ def test_a_method_that_fails_later_has_its_faults_counted(tmp_path):
     assert "outputs of shape ()" in (tmp_path / "out" / "report.md").read_text()
 
 
-def test_a_case_that_the_hand_cannot_do_is_said_before_the_trials_and_left_out(tmp_path, monkeypatch, capsys):
+def test_a_case_that_the_hand_cannot_do_is_reported_before_the_trials_and_left_out(
+    tmp_path, monkeypatch, capsys
+):
     """It is no failure of a method; the others run."""
     reason = "the robot cannot grasp object 'rod'"
     monkeypatch.setattr(
@@ -258,7 +260,7 @@ def test_several_tasks_share_one_folder(tmp_path, monkeypatch):
     assert path.stat().st_size > 20_000
 
 
-def test_a_repeated_trial_that_differs_is_told(copy, capsys):
+def test_a_repeated_trial_that_differs_causes_a_warning(copy, capsys):
     path = copy / "trials.jsonl"
     repeat = ["benchmark", ["--output", str(copy), "--rrd", "affine_ik", "cylinder", "1"]]
     assert run_command(*repeat) == 0

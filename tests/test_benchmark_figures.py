@@ -23,7 +23,7 @@ from geort_drake.errors import BenchmarkError, OutputError
 from studies.interval_coverage import Design, coverage
 
 
-def test_a_damaged_line_is_skipped_and_told_and_its_trial_repeated(tmp_path, capsys):
+def test_a_damaged_line_causes_a_warning_and_its_trial_is_repeated(tmp_path, capsys):
     """In the midst as at the end, where a crash leaves half a line; the next row stands alone."""
     path = tmp_path / "trials.jsonl"
     rows = [error(), trial(), trial(seed=1, time=None), trial(seed=2, first_attempt=None, attempts=None)]

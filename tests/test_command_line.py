@@ -77,7 +77,7 @@ def test_help_for_a_command_is_the_same_in_both_orders(name, capsys):
         (["check-recording", "hand.npy"], "did you mean 'recording check'?"),
     ],
 )
-def test_a_mistyped_command_is_answered_with_what_it_may_mean(words, hint, capsys):
+def test_a_mistyped_command_gets_a_suggestion(words, hint, capsys):
     assert main(words) == 2
     said = capsys.readouterr()
     assert said.out == "" and hint in said.err
@@ -323,7 +323,7 @@ def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, comm
         retargeting_train.cached_map(Hand("allegro_right"), synthesize_play(0, 1.0))
 
 
-def test_a_missing_backend_is_refused_before_the_work(refused, monkeypatch):
+def test_a_missing_backend_is_refused_before_planning(refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
     refused("benchmark --backend ray", "the backend 'ray' needs Ray: pip install 'geort-drake[ray]'")
 

@@ -107,7 +107,7 @@ def test_a_map_is_scored_only_where_its_training_fits(evaluate, play, quick, cap
     assert "was trained on another recording than hand.npz" in failed["error"]
 
 
-def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsys):
+def test_a_failed_case_does_not_stop_the_others(evaluate, quick, monkeypatch, capsys):
     """A fold that cannot be learned from has its reason in place of figures; means are of the rest."""
 
     def train(hand, recording, method, seed, device="cpu"):
@@ -130,7 +130,7 @@ def test_a_case_that_fails_leaves_the_others(evaluate, quick, monkeypatch, capsy
     assert "(1 of 2)" in said
 
 
-def test_a_stopped_run_leaves_the_methods_that_were_done(evaluate, quick, monkeypatch, tmp_path):
+def test_an_interrupted_run_keeps_the_finished_methods(evaluate, quick, monkeypatch, tmp_path):
     """The file is whole after each method, and trained maps are found again."""
     trained = []
 
@@ -178,7 +178,7 @@ def test_pinches_of_all_blocks_count_alike():
     assert figures_of(rows, "pinch.frames")["mean"] == 4
 
 
-def test_the_summary_is_of_parts_then_of_seeds():
+def test_the_summary_averages_over_parts_then_over_seeds():
     rows = [row("jitter", value, part, seed) for seed, parts in enumerate(((1, 3), (5, 7)))
             for part, value in zip("ab", parts, strict=True)]  # fmt: skip
     line = figures_of(rows, "jitter")
@@ -186,13 +186,13 @@ def test_the_summary_is_of_parts_then_of_seeds():
     assert np.isnan(figures_of(rows[:1], "jitter")["worst_part"])
 
 
-def test_the_worst_is_the_lowest_or_the_highest():
+def test_the_worst_value_depends_on_which_direction_is_better():
     """Where neither is better, there is no worst."""
     assert worst("coverage.10mm", [0.5, 0.2]) == 0.2 and worst("cross_talk", [0.5, 0.2]) == 0.5
     assert np.isnan(worst("pinch.mean_mm", [1.0])) and better("size.fingers.thumb") is None
 
 
-def test_recorded_frames_are_answered_in_their_order_from_rest(halves, quick, monkeypatch):
+def test_an_online_method_gets_recorded_frames_in_order_from_rest(halves, quick, monkeypatch):
     """Track and coverage of an online method are of each sequence, whatever was asked about before."""
     outputs = []
 
@@ -214,7 +214,7 @@ def test_recorded_frames_are_answered_in_their_order_from_rest(halves, quick, mo
 
 
 @pytest.mark.parametrize("blocks", [2, 4, 55])
-def test_held_out_blocks_share_out_the_valid_frames(play, blocks):
+def test_held_out_blocks_divide_the_valid_frames(play, blocks):
     """Each is scored once; learned from is all that is valid and at least the guard away in time."""
     # Twenty seconds in which tracking was lost twice.
     frames = np.arange(600)

@@ -88,7 +88,7 @@ def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
         ray.shutdown()
 
 
-def test_a_worker_that_dies_is_told():
+def test_a_dead_worker_raises_an_error():
     """Finished trials are kept, and the same command continues."""
     with pytest.raises(BenchmarkError, match=r"a worker process ended.*run the same command again"):
         list(call_in_workers(os._exit, [(1,), (1,)], 2))

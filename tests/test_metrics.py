@@ -124,7 +124,7 @@ def test_an_affine_map_is_flat_and_its_gain_ratio_follows_from_its_scales(frames
     assert metrics.gain_ratio(gains) is None
 
 
-def test_pinch_by_hand():
+def test_pinch_figures_equal_those_computed_by_hand():
     """Four instants: closed, closed too deep, open, and a false pinch of pairs that are far apart."""
 
     def hand(index, middle):

@@ -42,7 +42,7 @@ def own(tmp_path, line: str = "pass") -> OwnMethod:
     return OwnMethod(path, "allegro_right")
 
 
-def test_each_trial_and_each_process_begins_anew(tmp_path, play):
+def test_each_trial_and_each_process_makes_the_method_anew(tmp_path, play):
     """What a method remembers ends with its trial."""
     method, p_HK = own(tmp_path, "q = middle + 0.01 * len(calls)"), play.p_HK[0]
     first = method(p_HK)
@@ -120,7 +120,7 @@ def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):
 
 
 @pytest.mark.usefixtures("patient")
-def test_a_method_of_another_package_answers(play):
+def test_a_method_of_another_package_runs(play):
     """dex-retargeting, by the example in the docs."""
     pytest.importorskip("dex_retargeting")
     OwnMethod(DEX_EXAMPLE, "allegro_right").check(play.p_HK[0])

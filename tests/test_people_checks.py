@@ -98,7 +98,7 @@ def test_a_recording_whose_meaning_is_open_is_refused(tmp_path, fault):
 
 
 @pytest.mark.parametrize("fault", REPORTED)
-def test_what_is_clear_is_read_with_a_sentence(tmp_path, fault):
+def test_a_repairable_recording_is_read_with_a_warning(tmp_path, fault):
     change, message = REPORTED[fault]
     recording = read_recording(gloves.write_openxr(tmp_path, change(moving())))
     (warning,) = recording.metadata["warnings"]
@@ -146,7 +146,7 @@ def test_the_order_of_joints_is_named(name, rng):
 
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize(("length_m", "breadth_m"), [(0.15, 0.07), (0.21, 0.1)])
-def test_the_order_of_sound_hands_is_right(length_m, breadth_m, side):
+def test_valid_recordings_have_the_expected_joint_order(length_m, breadth_m, side):
     """Of several people, either side, straight, in motion, in a fist, and as a camera sees them."""
     hand = HumanHand.anatomical(length_m, breadth_m)
     p_HK = synthesize_play(1, duration_s=10.0, rate_hz=30.0, hand=hand).p_HK.astype(float)

@@ -29,7 +29,7 @@ def during(shown, *names) -> Recording:
     return replace(recording, valid=np.isin(steps, names))
 
 
-def test_the_demonstration_holds_all_that_training_wants(shown):
+def test_the_demonstration_covers_every_required_motion(shown):
     """Nothing is missing, nothing is wrong, and about a quarter of the time is pinches."""
     recording, steps = shown
     assert recording.duration_s == pytest.approx(DURATION_S, abs=0.1)
@@ -42,7 +42,7 @@ def test_the_demonstration_holds_all_that_training_wants(shown):
 
 
 @pytest.mark.parametrize("finger", FINGER_NAMES)
-def test_a_step_holds_the_motions_it_names(shown, finger):
+def test_each_step_contains_its_motion(shown, finger):
     """Alone, every motion of the finger is enough; without their step, pinches are what lacks."""
     alone = coverage(during(shown, f"{finger} alone", f"thumb to {finger}"))
     ranges = [motion for motion in alone if motion.unit == "°"]
@@ -54,7 +54,7 @@ def test_a_step_holds_the_motions_it_names(shown, finger):
         assert [motion.name for motion in rest if not motion.enough] in ([], [name])
 
 
-def test_what_was_not_done_is_named(shown):
+def test_missing_motions_are_reported(shown):
     """A finger that never spreads, and pinches that were not made; bending is not taken for abduction."""
     hand = HumanHand.anatomical()
     free = np.array([name != "ring_mcp_abduction" for name in hand.joint_names])
@@ -71,7 +71,7 @@ def test_what_was_not_done_is_named(shown):
     assert str(motion) == f"thumb pinches ring: 0 times, required {PINCHES}" and not motion.enough
 
 
-def test_a_pinch_that_trembles_counts_once():
+def test_a_trembling_pinch_counts_once():
     """Tips must part before they can meet again; a recording may begin with a pinch."""
     apart, near, touch = 0.05, 0.02, 0.01
     assert pinches(np.array([apart, touch, near, touch, apart, near, apart])) == 1
@@ -117,7 +117,7 @@ def test_ranges_are_the_turns_of_the_joints():
         assert seen(swept(f"{finger}_mcp_flexion", 60.0), f"{finger} moves sideways") < 2.0
 
 
-def test_motions_are_those_of_the_fingers_learned_from(play):
+def test_only_the_trained_fingers_are_measured(play):
     """A still hand lacks every motion of them; other fingers do not matter; play lacks nothing."""
     still = finger_motions(swept("index_mcp_abduction", 0.0), (4, 8))
     assert [motion.name for motion in still if not motion.enough] == [

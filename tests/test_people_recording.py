@@ -49,7 +49,7 @@ def test_the_digest_tells_recordings_apart():
     assert dc.replace(recording, metadata={"side": "right", "note": "x"}).digest == recording.digest
 
 
-def test_gaps_and_lost_frames_do_not_disturb_rate_and_fingertips():
+def test_gaps_and_lost_frames_do_not_change_rate_and_fingertips():
     """A gap of a second leaves the rate at 60 Hz; invalid frames do not show in fingertips."""
     recording = recorded()
     t, valid = recording.t.copy(), recording.valid.copy()
@@ -139,7 +139,7 @@ def test_frames_of_a_killed_session_become_a_recording_of_their_own(tmp_path):
     assert sorted(os.listdir(tmp_path)) == names
 
 
-def test_a_log_that_is_none_is_named_and_kept(tmp_path):
+def test_a_damaged_log_is_named_and_kept(tmp_path):
     (tmp_path / "session.npz.log").write_bytes(b"[1]x")
     with pytest.raises(RecordingError, match=r"session\.npz\.log: not the log of a recording"):
         RecordingLog(tmp_path / "session.npz", PLAY.metadata)
@@ -241,7 +241,7 @@ def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, cap
     assert left.mirrored().digest == right.digest
 
 
-def test_the_report_is_also_given_as_json(npy, tmp_path, capsys):
+def test_the_report_is_also_written_as_json(npy, tmp_path, capsys):
     """One object on stdout: verdict, sentences, figures; for what is refused, the reason."""
     run_command("recording check", [str(npy), "--json", "-", "--rate", "60"])
     said = capsys.readouterr()  # other commands have no --rate, so the next one is convert

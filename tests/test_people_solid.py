@@ -83,7 +83,7 @@ def test_thumb_and_finger_stop_at_each_other_however_far_they_want_to_go():
     assert (HAND.fingertips(opened) - HAND.fingertips(pressed))[0] @ normal > 0.01
 
 
-def test_pads_that_press_less_than_they_are_moved_sideways_slide():
+def test_pads_slide_when_they_are_moved_sideways_by_more_than_they_press():
     """Asked for 3 mm of pressure and 15 mm to the side, the thumb slides; for 20 mm and 3, it sticks."""
     theta, normal = pinch()
     sideways = np.cross(normal, [1.0, 0.0, 0.0])

@@ -48,7 +48,7 @@ def test_an_excerpt_begins_where_most_pinches_are():
         excerpt(recording, start_s=40.0)
 
 
-def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play, allegro_left):
+def test_a_left_hand_is_retargeted_as_its_mirror_image_and_drawn_as_it_is(play, allegro_left):
     """The methods get canonical right hands; robot and asked fingertips are where the left hand's are."""
     left = allegro_left
     hands = excerpt(play, duration_s=2.0)
@@ -64,7 +64,7 @@ def test_a_left_hand_is_answered_in_its_mirror_image_and_shown_as_it_is(play, al
     np.testing.assert_allclose(found.copy, proportional_copy(mirrored(given[0]), found.p_BF))
 
 
-def test_the_recording_shows_what_the_methods_answer(tmp_path, allegro, play):
+def test_the_recording_contains_the_outputs_of_the_methods(tmp_path, allegro, play):
     """Poses, tips, pinches and collisions of every method, at every instant."""
     hands = excerpt(play, rate_hz=10.0, duration_s=3.0)
     fist, rest = allegro.upper, np.clip(np.zeros(len(allegro.lower)), allegro.lower, allegro.upper)

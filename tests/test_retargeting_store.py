@@ -48,7 +48,7 @@ def test_a_flipped_byte_in_the_header_and_a_short_file_are_refused(tmp_path):
             load_retargeter(path)
 
 
-def test_a_map_for_another_hand_is_refused_and_for_another_version_told(tmp_path, allegro):
+def test_a_map_for_another_hand_is_refused_and_for_another_version_causes_a_warning(tmp_path, allegro):
     """Joints and fingers must agree; the message has both sides."""
     path = map_file(tmp_path)
     facts = {name: getattr(allegro, name) for name in ("finger_names", "joint_names", "digest")}

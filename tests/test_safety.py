@@ -85,7 +85,7 @@ def test_the_hand_does_not_jump_at_the_start():
         ({"stamp": np.nan}, glove_checks.HELD_NOT_FINITE),
     ],
 )
-def test_a_fault_is_held_named_and_eased_out_of(fault, state):
+def test_a_fault_is_named_and_holds_the_joints_which_then_ease_back(fault, state):
     """The status says what and since when; afterwards the hand follows again, slowly at first."""
     bench = Bench(checks=AT_ONCE, stamped=True)
     for number, keypoints in enumerate(hands(60)):

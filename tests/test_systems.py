@@ -113,7 +113,7 @@ def test_retargeting_holds_when_the_map_gives_no_number():
 
 
 @pytest.mark.parametrize(("latency", "updates"), [(0.0, 0.01), (0.008, 0.01), (0.01, 0.01), (0.014, 0.014)])
-def test_retargeting_answers_after_its_latency_and_as_often_as_it_can(latency, updates):
+def test_retargeting_outputs_after_its_latency_and_as_often_as_it_can(latency, updates):
     """What comes out at any time was made of the keypoints of the last update that is `latency` ago."""
     bench = retargeting_bench(first_three, latency, period=0.001)
     start = bench.value("desired_state")[:3]
@@ -150,7 +150,7 @@ def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them(
     np.testing.assert_array_equal(SystemBench(system).value("desired_state"), [0, 0, 0.2, 0, 0, 0])
 
 
-def test_retargeting_takes_limits_and_start_from_the_plant_and_an_unconnected_glove_for_tracked():
+def test_limits_and_start_come_from_the_plant_and_an_unconnected_valid_port_counts_as_tracked():
     """Without `valid`, good keypoints are followed."""
     system = RetargetingSystem(
         first_three, *joint_plant(JOINTS), joint_names=JOINTS, checks=GloveChecks(settle_time=0.0)

@@ -17,7 +17,7 @@ from geort_drake.retargeting.train import cached_map
 
 
 @pytest.mark.usefixtures("light_evaluation")
-def test_a_map_knows_where_it_comes_from(tmp_path, allegro, play):
+def test_a_map_stores_its_provenance(tmp_path, allegro, play):
     """Hand, recording, seed, versions, time and losses are on record, also in the file."""
     path = train_lightly(allegro, play, tmp_path / "map.safetensors", "geort", seed=2)
     retarget = load_retargeter(path, allegro)

@@ -114,7 +114,7 @@ def test_points_outside_of_the_wrist_frame_and_of_the_other_hand_are_refused():
             retarget.for_person(other)
 
 
-def test_what_is_no_hand_is_refused_and_lost_frames_are_ignored():
+def test_points_that_are_no_hand_are_refused_and_lost_frames_are_ignored():
     _, retarget = shipped("allegro_right")
     for frames in (play(0)[0, :4], play(0)[:, :4]):
         with pytest.raises(ValueError, match="whole hands"):
