@@ -40,7 +40,7 @@ class Picture:
     Attributes:
         record: makes the recording or drawing in a folder, with the command's arguments.
         file: name of the recording or drawing (.png) in that folder.
-        time: time on the recording's timeline, s or steps; None for the end.
+        time: time of the recording, s; None for the end.
         moves: whether to make a film of the scene from beginning to end.
     """
 

@@ -218,9 +218,7 @@ def test_a_method_that_fails_later_has_its_faults_counted(tmp_path):
     assert "outputs of shape ()" in (tmp_path / "out" / "report.md").read_text()
 
 
-def test_a_case_that_the_hand_cannot_do_is_reported_before_the_trials_and_left_out(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_case_that_the_hand_cannot_do_is_reported_first_and_left_out(tmp_path, monkeypatch, capsys):
     """It is no failure of a method; the others run."""
     reason = "the robot cannot grasp object 'rod'"
     monkeypatch.setattr(

@@ -12,8 +12,7 @@ from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording, newest
 from geort_drake.rerun import layout as views
 from geort_drake.rerun.scene import write_robot_hand
-from geort_drake.rerun.streams import file_writer
-from geort_drake.rerun.writer import SOLID, LineStrips3D, Writer, entity_path
+from geort_drake.rerun.writer import SOLID, LineStrips3D, Writer, entity_path, file_writer
 
 _RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second and per joint
 _AXES = {"x": (230, 60, 60), "y": (60, 180, 60), "z": (60, 90, 230)}

@@ -15,8 +15,7 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
 from geort_drake.rerun import layout as views
 from geort_drake.rerun.scene import write_robot_hand
-from geort_drake.rerun.streams import Property, file_writer
-from geort_drake.rerun.writer import CAGE, SOLID, WORLD, Writer, entity_path
+from geort_drake.rerun.writer import CAGE, SOLID, WORLD, Property, Writer, entity_path, file_writer
 
 _CLOSED_COLOR, _FAULT_COLOR = (90, 255, 120), (255, 50, 50)  # no finger has these colours
 APPLICATION = "geort_drake_explorer"

@@ -23,8 +23,7 @@ from geort_drake.rerun.specs import (
     Spec,
     StateSpec,
 )
-from geort_drake.rerun.streams import file_writer
-from geort_drake.rerun.writer import Writer
+from geort_drake.rerun.writer import Writer, file_writer
 
 __all__ = [
     "CloseUpSpec",

@@ -37,26 +37,15 @@ View = rrb.Container | rrb.View
 Vector = Sequence[float] | np.ndarray
 
 
-def blueprint(layout: View, timeline: str = TIMELINE, rate: float = 1.0) -> rrb.Blueprint:
-    """Makes a layout that plays in a loop, with the viewer's panels collapsed.
-
-    Args:
-        rate: playback rate: recorded seconds, or steps, per second.
-    """
-    steps = timeline != TIMELINE
-    time_panel = rrb.TimePanel(
-        state="collapsed",
-        timeline=timeline,
-        play_state="playing",
-        loop_mode="all",
-        fps=rate if steps else None,
-        playback_speed=None if steps else rate,
-    )
+def blueprint(layout: View) -> rrb.Blueprint:
+    """Makes a layout that plays in a loop in real time, with the viewer's panels collapsed."""
     return rrb.Blueprint(
         layout,
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        time_panel,
+        rrb.TimePanel(
+            state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all", playback_speed=1.0
+        ),
         auto_layout=False,
         auto_views=False,
     )
@@ -107,25 +96,20 @@ def time_series(
     title: str,
     paths: Sequence[str],
     legend: str = "",
-    steps: int | None = None,
     limits: tuple[float, float] | None = None,
 ) -> View:
-    """Makes a plot whose time axis is linked to those of the others, or shows `steps` steps.
+    """Makes a plot whose time axis is linked to those of the others.
 
     Args:
         legend: side of the legend, "left" or "right"; empty for none.
         limits: lowest and highest value; by default those of the data.
     """
-    axis = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
-    if steps is not None:
-        first, last = rr.TimeRangeBoundary.absolute(seq=0), rr.TimeRangeBoundary.absolute(seq=steps)
-        axis = rrb.TimeAxis(view_range=rr.TimeRange(first, last))
     corner = rrb.Corner2D.RightTop if legend == "right" else rrb.Corner2D.LeftTop
     return rrb.TimeSeriesView(
         origin="/",
         contents=list(paths),
         name=title,
-        axis_x=axis,
+        axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits, zoom_lock=True),
         plot_legend=rrb.PlotLegend(corner, visible=bool(legend)),
     )

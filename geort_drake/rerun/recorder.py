@@ -23,8 +23,7 @@ from geort_drake.files import require_writable
 from geort_drake.rerun.layout import VIEW_FROM, Layout, followed_bodies
 from geort_drake.rerun.scene import describe_scene
 from geort_drake.rerun.specs import CloseUpSpec, Contacts, ContactSpec, Poses, Spec
-from geort_drake.rerun.streams import Property, Viewer, file_writer, live_writer
-from geort_drake.rerun.writer import ABOUT, Writer
+from geort_drake.rerun.writer import ABOUT, Property, Viewer, Writer, file_writer, live_writer
 from geort_drake.systems.python_system import PythonSystem
 
 _BATCH_S = 0.1  # wall time between two batches for viewers

@@ -1,21 +1,34 @@
-"""`Writer` sends arrays over time as Rerun entities: poses, time series, points, human hands and others."""
+"""`Writer` sends arrays over time as Rerun entities: poses, time series, points, human hands and others.
 
+`file_writer` opens one to a file, which is written atomically, and `live_writer` one to viewers.
+"""
+
+import contextlib
+import os
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
+import rerun.blueprint as rrb
 from pydrake.math import RigidTransform
 from rerun import LineStrips3D, Points3D
 from scipy.spatial.transform import Rotation
 
 from geort_drake.colours import FINGER_COLOURS, Color, rgb
+from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import BONES, TIP_KEYPOINT, wrist_pose
 
+_APPLICATION = "geort_drake"  # recordings of one application share a layout in the viewer
+Property = str | int | float | bool
+# A listening viewer, or a server to which viewers connect.
+Viewer = rr.GrpcSink | rr.GrpcServerSink
+
 TIMELINE = "sim_time"  # s
-STEPS = "step"  # steps of a training
 FLUSH_TIMEOUT = 5.0  # s; a viewer that was closed must not block the simulation
 WORLD = "world"
 ABOUT = "/about"  # entity of a text that explains the recording
@@ -43,21 +56,21 @@ class Writer:
     Malformed data raise an error instead of being dropped.
 
     Attributes:
-        times: (T,) times of the rows that are sent next: s as floats, or steps as integers.
+        times: (T,) times of the rows that are sent next, s.
         memory: state that is kept between batches.
     """
 
-    def __init__(self, stream: rr.RecordingStream, timeline: str = TIMELINE):
+    def __init__(self, stream: rr.RecordingStream):
         self.memory: dict[str, Any] = {}
-        self._stream, self._timeline = stream, timeline
+        self._stream = stream
         self._sent: set[tuple[str, type]] = set()
         self.at(np.empty(0))
         self.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
     def at(self, times: np.ndarray) -> "Writer":
-        """Sets the times (T,) of the rows that follow: s as floats, or steps as integers."""
-        self.times = np.asarray(times)
-        self._all_times = self._column(self.times)
+        """Sets the times (T,), s, of the rows that follow."""
+        self.times = np.asarray(times, dtype=float)
+        self._all_times = rr.TimeColumn(TIMELINE, duration=self.times)
         return self
 
     def static(self, path: str, archetype: rr.AsComponents) -> None:
@@ -68,7 +81,7 @@ class Writer:
 
     def columns(self, path: str, columns: rr.ComponentColumnList, rows: np.ndarray | None = None) -> None:
         """Sends one entry per time, or per time that `rows`, a mask or indices, selects."""
-        index = self._all_times if rows is None else self._column(self.times[rows])
+        index = self._all_times if rows is None else rr.TimeColumn(TIMELINE, duration=self.times[rows])
         if len(index.as_arrow_array()):
             self._stream.send_columns(path, [index], columns, strict=True)
 
@@ -209,9 +222,75 @@ class Writer:
         else:
             self._stream.disconnect()
 
-    def _column(self, times: np.ndarray) -> rr.TimeColumn:
-        kind = "sequence" if np.issubdtype(times.dtype, np.integer) else "duration"
-        return rr.TimeColumn(self._timeline, **{kind: times})
+
+@contextlib.contextmanager
+def file_writer(
+    path: str | os.PathLike,
+    *,
+    name: str = "",
+    application_id: str = _APPLICATION,
+    recording_id: str | None = None,
+    blueprint: rrb.Blueprint | None = None,
+    properties: Mapping[str, Property] | None = None,
+) -> Iterator[Writer]:
+    """Opens a `Writer` to an .rrd file, which appears when the block ends without an error.
+
+    The data stay in memory until then. Equal data give equal columns; log times are left out. With the
+    environment variable RERUN=off no file is written, and a warning says so.
+
+    Args:
+        name: name of the recording in the viewer; by default that of the file.
+
+    Raises:
+        OutputError: the disk is full, or the folder is not writable.
+    """
+    path = Path(path)
+    stream = _stream(application_id, recording_id)
+    if not rr.is_enabled(stream):
+        warnings.warn(f"{path}: not written, because of the environment variable RERUN=off", stacklevel=4)
+        yield Writer(stream)
+        return
+    # Rerun's own writer to files may hang on a full disk, and reports errors on stderr only.
+    recording = stream.memory_recording()
+    try:
+        if blueprint is not None:
+            stream.send_blueprint(blueprint, make_active=False)
+        _send_properties(stream, name or path.stem, properties or {})
+        yield Writer(stream)
+        with atomic_path(path) as draft:
+            draft.write_bytes(recording.drain_as_bytes())
+    finally:
+        stream.disconnect()
+
+
+def live_writer(
+    viewers: Sequence[Viewer],
+    *,
+    blueprint: rrb.Blueprint,
+    name: str,
+    properties: Mapping[str, Property],
+) -> Writer:
+    """Opens a writer that sends data to viewers."""
+    stream = _stream(_APPLICATION, None)
+    stream.set_sinks(*viewers, default_blueprint=blueprint)
+    _send_properties(stream, name, properties)
+    return Writer(stream)
+
+
+def _stream(application_id: str, recording_id: str | None) -> rr.RecordingStream:
+    stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
+    stream.set_log_time_enabled(False)
+    stream.set_log_tick_enabled(False)
+    return stream
+
+
+def _send_properties(stream: rr.RecordingStream, name: str, properties: Mapping[str, Property]) -> None:
+    stream.send_recording_name(name)
+    if properties:
+        # Arrays have explicit types, because Rerun keeps the first type of each name in a process.
+        stream.send_property(
+            "run", rr.AnyValues(**{key: pa.array([value]) for key, value in properties.items()})
+        )
 
 
 def state_names(codes: Sequence[float] | np.ndarray, labels: Sequence[str]) -> list[str]:
