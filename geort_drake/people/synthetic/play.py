@@ -154,7 +154,7 @@ class Timeline:
             fastest = 1.875 * np.abs(whole).max() / duration[i] * (t[i] - t[i - 1]) + _MAX_NOISE
             aim = theta[i - 1] + change / max(1.0, np.abs(change).max() / fastest)
             theta[i], _ = solid.move(theta[i - 1], aim)
-            stopped = not np.allclose(theta[i], wanted, rtol=0.0, atol=1e-12)
+            stopped = bool(np.abs(theta[i] - wanted).max() > 1e-12)
         return theta
 
     def _within(self, theta: np.ndarray) -> np.ndarray:
