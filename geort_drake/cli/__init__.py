@@ -125,6 +125,7 @@ def run_command(name: str, argv: Sequence[str]) -> int:
     from geort_drake.console import console
 
     console.quiet = options.quiet
+    options.check()
     return options.run()
 
 

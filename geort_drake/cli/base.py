@@ -6,13 +6,24 @@ A command's last lines name its results and suggest the next commands.
 """
 
 import json
+import math
 import os
 import shlex
 import shutil
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, dataclass_transform, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    dataclass_transform,
+    get_type_hints,
+)
 
 from tyro.conf import arg
 
@@ -27,9 +38,6 @@ STDOUT = Path("-")
 Side = Literal["left", "right"]
 _HANDS = f"robot hand: one of {', '.join(hand_names())}, or a description file"
 HandName = Annotated[str, arg(metavar="NAME", help=_HANDS)]
-Json = Annotated[
-    Path | None, arg(metavar="FILE", help="also write the results as JSON to a file; - writes them to stdout")
-]
 # File in a results folder → the commands that write it.
 RESULT_FILES = {
     "results.json": "grasp",
@@ -40,6 +48,30 @@ RESULT_FILES = {
 
 
 T = TypeVar("T")
+
+
+class Check(NamedTuple):
+    """A condition on an option's value, or on each of several; part of the annotation of its field."""
+
+    fits: Callable[[Any], bool]
+    expected: str  # such as "a positive number"
+
+
+class OutputFile(NamedTuple):
+    """Marks an option as a file to write, whose name has this suffix; part of the annotation of its field."""
+
+    suffix: str
+
+
+SEED = Check(lambda number: number >= 0, "a whole number from 0")
+COUNT = Check(lambda number: number >= 1, "a whole number from 1")
+POSITIVE = Check(lambda number: 0 < number < math.inf, "a positive number")
+Seed = Annotated[int, SEED]
+Json = Annotated[
+    Path | None,
+    arg(metavar="FILE", help="also write the results as JSON to a file; - writes them to stdout"),
+    OutputFile(".json"),
+]
 
 
 def _hint(default: str) -> str:
@@ -64,6 +96,23 @@ class Command:
     """print only warnings and errors"""
     debug: bool = False
     """print the traceback of an error"""
+
+    def check(self) -> None:
+        """Checks every option by itself, as its annotation says, before any work begins.
+
+        Raises:
+            UsageError: a value does not fit; the message names the option.
+            OutputError: an output file cannot be written.
+        """
+        for name, hint in get_type_hints(type(self), include_extras=True).items():
+            value = getattr(self, name)
+            for mark in getattr(hint, "__metadata__", ()):
+                if isinstance(mark, OutputFile) and value not in (None, STDOUT):
+                    require_output_file(value, mark.suffix)
+                elif isinstance(mark, Check) and value is not None:
+                    several = isinstance(value, tuple)
+                    for one in value if several else (value,):
+                        require(mark.fits(one), f"--{name.replace('_', '-')}", mark.expected, one)
 
     def run(self) -> int:
         """Does the work and returns the exit code: 0 success, 1 partial success.
@@ -143,12 +192,6 @@ def require_output_folder(folder: Path, mark: str = "") -> None:
             raise OutputError(
                 f"{folder}: contains results of geort-drake {commands} ({name}); choose another folder"
             )
-
-
-def require_json_file(path: Path | None) -> None:
-    """Raises UsageError or OutputError unless the value of --json can be written."""
-    if path not in (None, STDOUT):
-        require_output_file(path, ".json")
 
 
 # -- outputs

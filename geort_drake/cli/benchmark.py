@@ -10,16 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from geort_drake.cli.base import (
+    COUNT,
+    SEED,
     Command,
     Json,
     ScenarioOptions,
+    Seed,
     Side,
     finish,
     methods_epilog,
     methods_for,
     options,
-    require,
-    require_json_file,
     require_output_folder,
     view,
     write_json,
@@ -58,15 +59,15 @@ class Benchmark(Command, ScenarioOptions):
     """methods listed below, maps or Python files; the first is the reference (default: all)"""
     objects: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """objects to grasp (default: all)"""
-    persons: Annotated[tuple[int, ...], arg(metavar="N ...")] = ()
+    persons: Annotated[tuple[int, ...], arg(metavar="N ..."), SEED] = ()
     """people of the population, by number; 0 has the hand of --recording (default: the scenario's)"""
-    trials: Annotated[int | None, arg(metavar="N")] = None
+    trials: Annotated[int | None, arg(metavar="N"), COUNT] = None
     """trials per method, object and person (default: 30)"""
-    trainings: Annotated[int, arg(metavar="N")] = 1
+    trainings: Annotated[int, arg(metavar="N"), COUNT] = 1
     """number of trainings of each trained method, with successive seeds; each does all trials"""
     quick: bool = False
     """small benchmark that takes two to five minutes on two cores"""
-    jobs: Annotated[int | None, arg(metavar="N")] = None
+    jobs: Annotated[int | None, arg(metavar="N"), COUNT] = None
     """number of parallel trials (default: the number of processors)"""
     backend: Literal["loky", "ray"] = "loky"
     """run on this machine (loky) or on a Ray cluster"""
@@ -80,7 +81,7 @@ class Benchmark(Command, ScenarioOptions):
     """repeat the trials with one field of the scenario changed, such as operator.visual_delay=0,0.1,0.3"""
     side: Side | None = None
     """side of the recorded hand (default: the robot hand's)"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of training and synthetic play"""
     rrd: Annotated[tuple[str, ...], arg(metavar="METHOD OBJECT SEED")] = ()
     """repeat a finished trial of --output and write its Rerun recording; --tasks, --kinds, --persons and
@@ -95,14 +96,6 @@ class Benchmark(Command, ScenarioOptions):
 
     def run(self) -> int:
         require_output_folder(self.output, "trials.jsonl")
-        require_json_file(self.json)
-        require(self.trials is None or self.trials > 0, "--trials", "a whole number from 1", self.trials)
-        require(self.trainings > 0, "--trainings", "a whole number from 1", self.trainings)
-        require(self.jobs is None or self.jobs > 0, "--jobs", "a whole number from 1", self.jobs)
-        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
-        require(
-            all(number >= 0 for number in self.persons), "--persons", "whole numbers from 0", self.persons
-        )
         if self.rrd:
             return self._repeat()
         if self.submit:

@@ -7,7 +7,9 @@ from typing import Annotated
 from tyro.conf import arg
 
 from geort_drake.cli.base import (
+    SEED,
     STDOUT,
+    Check,
     Command,
     HandName,
     Json,
@@ -15,8 +17,6 @@ from geort_drake.cli.base import (
     methods_epilog,
     methods_for,
     options,
-    require,
-    require_json_file,
     write_json,
 )
 
@@ -53,9 +53,9 @@ class Evaluate(Command):
     """also score on recordings of other people"""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """methods listed below, maps or Python files (default: all)"""
-    seeds: Annotated[tuple[int, ...], arg(metavar="SEED ...")] = (0,)
+    seeds: Annotated[tuple[int, ...], arg(metavar="SEED ..."), SEED] = (0,)
     """seeds of training and metrics; with several, shows mean and worst"""
-    frames: Annotated[int | None, arg(metavar="N")] = None
+    frames: Annotated[int | None, arg(metavar="N"), Check(lambda number: number >= 10, "at least 10")] = None
     """score only the first N valid frames of each recording and block (default: all)"""
     json: Json = None
 
@@ -68,9 +68,6 @@ class Evaluate(Command):
         from geort_drake.metrics.compare import Comparison, Row, failures, report, tables
         from geort_drake.metrics.protocols import held_out, other_person, same_person
 
-        require_json_file(self.json)
-        require(all(seed >= 0 for seed in self.seeds), "--seeds", "whole numbers from 0", self.seeds)
-        require(self.frames is None or self.frames >= 10, "--frames", "at least 10", self.frames)
         description = load_hand(self.hand)
         hand = Hand(description)
         methods = list(dict.fromkeys(self.methods or methods_for(self.hand)))

@@ -6,13 +6,14 @@ from typing import Annotated
 from tyro.conf import arg
 
 from geort_drake.cli.base import (
+    Check,
     Command,
     HandName,
+    OutputFile,
+    Seed,
     finish,
     methods_epilog,
     options,
-    require,
-    require_output_file,
     view,
 )
 
@@ -33,14 +34,14 @@ class Explore(Command):
     """recording of a hand (default: synthetic play)"""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ("universal", "anyteleop")
     """methods listed below, maps or Python files"""
-    output: Annotated[Path, arg(metavar="FILE")] = Path("explore.rrd")
+    output: Annotated[Path, arg(metavar="FILE"), OutputFile(".rrd")] = Path("explore.rrd")
     """Rerun recording to write (.rrd)"""
     hand: HandName = "allegro_right"
     start: Annotated[float | None, arg(metavar="S")] = None
     """start time, s (default: the part with the most pinches)"""
-    duration: Annotated[float, arg(metavar="S")] = 20.0
+    duration: Annotated[float, arg(metavar="S"), Check(lambda s: 0.1 <= s <= 600, "from 0.1 to 600")] = 20.0
     """duration, s, from 0.1 to 600"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of training and synthetic play"""
 
     epilog = staticmethod(methods_epilog)
@@ -54,9 +55,6 @@ class Explore(Command):
         from geort_drake.metrics.metrics import adapted
         from geort_drake.retargeting.train import training_recording
 
-        require_output_file(self.output, ".rrd")
-        require(0.1 <= self.duration <= 600, "--duration", "from 0.1 to 600", self.duration)
-        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         description = load_hand(self.hand)
         hand = Hand(description)
         names = names_of(self.methods, hand=hand)

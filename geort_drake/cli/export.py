@@ -6,13 +6,12 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from geort_drake.cli.base import (
+    COUNT,
     Command,
     Json,
     Side,
     finish,
     options,
-    require,
-    require_json_file,
     require_output_file,
     require_output_folder,
     view,
@@ -37,7 +36,7 @@ class Export(Command):
     """folder to write; with rrd, a file"""
     format: Literal["parquet", "lerobot", "rrd"] = "parquet"
     """format to write"""
-    fps: Annotated[int | None, arg(metavar="HZ")] = None
+    fps: Annotated[int | None, arg(metavar="HZ"), COUNT] = None
     """frames per second, for lerobot and rrd (default: the recording's; rrd: 30)"""
     side: Side = "right"
     """side of the recorded hand"""
@@ -51,8 +50,6 @@ class Export(Command):
         from geort_drake.export.lerobot import write_lerobot
         from geort_drake.export.parquet import write_parquet
 
-        require_json_file(self.json)
-        require(self.fps is None or self.fps > 0, "--fps", "a whole number from 1", self.fps)
         if self.format == "parquet" and self.fps:
             raise UsageError("--fps: Parquet keeps every sample; use it with lerobot and rrd")
         is_run = (self.input / RESULTS).is_file()

@@ -9,11 +9,10 @@ from tyro.conf import Positional, arg
 from geort_drake.cli.base import (
     Command,
     Json,
+    OutputFile,
     command,
     finish,
     options,
-    require_json_file,
-    require_output_file,
     view,
     write_json,
 )
@@ -52,7 +51,7 @@ class AddHand(Command):
     """replace the description if it exists"""
     hulls: bool = False
     """let links without collision geometry collide as they are drawn, meshes as their hulls"""
-    rrd: Annotated[Path | None, arg(metavar="FILE")] = None
+    rrd: Annotated[Path | None, arg(metavar="FILE"), OutputFile(".rrd")] = None
     """also write a Rerun recording of the hand (.rrd)"""
     json: Json = None
 
@@ -62,9 +61,6 @@ class AddHand(Command):
         from geort_drake.hands.hand import Hand
         from geort_drake.hands.importers.checks import examine
 
-        require_json_file(self.json)
-        if self.rrd is not None:
-            require_output_file(self.rrd, ".rrd")
         notes: list[str] = []
         if self.model.suffix in (".yaml", ".yml"):
             path, description = self.model, load_hand(self.model)
@@ -138,7 +134,6 @@ class ListHands(Command):
         from geort_drake.resources import hand_names
         from geort_drake.retargeting.store import shipped_maps
 
-        require_json_file(self.json)
         maps, rows = shipped_maps(), []
         for name in hand_names():
             hand = load_hand(name)

@@ -17,7 +17,6 @@ from geort_drake.cli.base import (
     methods_epilog,
     options,
     require,
-    require_json_file,
     write_json,
 )
 from geort_drake.errors import OutputError, UsageError
@@ -94,7 +93,6 @@ class Live(Command, ScenarioOptions):
         from geort_drake.simulation.following import RobotModel
         from geort_drake.systems.glove_recorder import GloveRecorder
 
-        require_json_file(self.json)
         for option in ("relax_after", "duration", "timeout", "robot_silence"):
             value = getattr(self, option)
             require(value > 0, f"--{option.replace('_', '-')}", "a positive number", value)

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from geort_drake.cli.base import (
+    COUNT,
+    POSITIVE,
     Command,
     Json,
+    OutputFile,
+    Seed,
     Side,
     command,
     finish,
     options,
-    require,
-    require_json_file,
     require_output_file,
     require_output_folder,
     view,
@@ -46,7 +48,7 @@ class _Reading(Command):
     """turn it into a recording of the other hand"""
     unit: Literal["m", "dm", "cm", "mm", "inch"] | None = None
     """unit of lengths in the file (default: the format's)"""
-    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    rate: Annotated[float | None, arg(metavar="HZ"), POSITIVE] = None
     """frame rate of a file without timestamps (default: 30)"""
     json: Json = None
 
@@ -69,8 +71,6 @@ class _Reading(Command):
         from geort_drake.people.checks import training_faults
         from geort_drake.people.coverage import figures
 
-        require_json_file(self.json)
-        require(self.rate is None or 0 < self.rate < float("inf"), "--rate", "a positive number", self.rate)
         name = str(self.input)
         try:
             recording = self._read()
@@ -175,11 +175,10 @@ class ConvertRecording(_Reading):
     Exit codes: 0 usable, perhaps with warnings; 2 refused.
     """
 
-    output: Annotated[Path, arg(metavar="FILE")]
+    output: Annotated[Path, arg(metavar="FILE"), OutputFile(".npz")]
     """file to write (.npz)"""
 
     def run(self) -> int:
-        require_output_file(self.output, ".npz")
         # Path.resolve raises an error for a link to itself.
         if os.path.realpath(self.output) == os.path.realpath(self.input):
             raise UsageError(f"{self.output}: choose another file than the recording itself")
@@ -200,13 +199,13 @@ class SynthesizeRecording(Command):
 
     output: Annotated[Path, arg(metavar="PATH")]
     """recording to write (.npz), or with --people a folder for recordings"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of the motions, and of the people"""
-    duration: Annotated[float, arg(metavar="S")] = 300.0
+    duration: Annotated[float, arg(metavar="S"), POSITIVE] = 300.0
     """duration, s"""
-    rate: Annotated[float | None, arg(metavar="HZ")] = None
+    rate: Annotated[float | None, arg(metavar="HZ"), POSITIVE] = None
     """frames per second (default: 120; with --people, the device's)"""
-    people: Annotated[int | None, arg(metavar="N")] = None
+    people: Annotated[int | None, arg(metavar="N"), COUNT] = None
     """draw the first N people of the seed's population"""
     hand_of: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of the hand to imitate (default: an average adult's hand)"""
@@ -215,10 +214,6 @@ class SynthesizeRecording(Command):
 
     def run(self) -> int:
         rate = _RATE_HZ if self.rate is None else self.rate
-        for option, value in (("--duration", self.duration), ("--rate", rate)):
-            require(0 < value < float("inf"), option, "a positive number", value)
-        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
-        require(self.people is None or self.people > 0, "--people", "a whole number from 1", self.people)
         if self.duration * rate > _MAX_FRAMES:
             raise UsageError(f"--duration times --rate may be at most {_MAX_FRAMES:,} frames")
         if self.people is None:
@@ -269,21 +264,17 @@ class SynthesizeRecording(Command):
 class ShowProtocol(Command):
     """Show what to record: five minutes of hand motion, step by step."""
 
-    output: Annotated[Path | None, arg(metavar="FILE")] = None
+    output: Annotated[Path | None, arg(metavar="FILE"), OutputFile(".rrd")] = None
     """Rerun recording of a synthetic hand that shows the steps (.rrd)"""
-    recording: Annotated[Path | None, arg(metavar="FILE")] = None
+    recording: Annotated[Path | None, arg(metavar="FILE"), OutputFile(".npz")] = None
     """recording of the synthetic hand's keypoints to write (.npz)"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of the demonstration"""
 
     def run(self) -> int:
         from geort_drake.console import print_table
         from geort_drake.people.synthetic.protocol import STEPS, demonstrate
 
-        if self.output is not None:
-            require_output_file(self.output, ".rrd")
-        if self.recording is not None:
-            require_output_file(self.recording, ".npz")
         rows, begin = [], 0.0
         for step in STEPS:
             start = f"{begin // 60:.0f}:{begin % 60:02.0f}"

@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import arg
 
 from geort_drake.cli.base import (
+    COUNT,
     Command,
     Json,
     ScenarioOptions,
+    Seed,
     Side,
     command,
     finish,
     methods_epilog,
     options,
-    require,
-    require_json_file,
     require_output_folder,
     view,
     write_json,
@@ -57,7 +57,7 @@ class Grasp(Command, ScenarioOptions):
     output: Annotated[Path, arg(metavar="DIR")] = Path("runs/grasp")
     """folder for the results"""
     objects: Annotated[tuple[str, ...], arg(metavar="NAME ...", help=_OBJECTS)] = ()
-    trials: Annotated[int, arg(metavar="N")] = 1
+    trials: Annotated[int, arg(metavar="N"), COUNT] = 1
     """trials per object, each with its own seed"""
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of the person's hand (default: synthetic play)"""
@@ -67,7 +67,7 @@ class Grasp(Command, ScenarioOptions):
     """method listed below, map or Python file (default: universal if the hand has a map, else geort)"""
     device: Literal["cpu", "cuda"] = "cpu"
     """where to train"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of training and synthetic play"""
     replay: Annotated[Path | None, arg(metavar="FILE")] = None
     """replay this recording, with its wrist poses, instead of the simulated person; a session is replayed
@@ -91,9 +91,6 @@ class Grasp(Command, ScenarioOptions):
 
         # Checks the whole request before anything is computed or written.
         require_output_folder(self.output, RESULTS)
-        require_json_file(self.json)
-        require(self.trials > 0, "--trials", "a whole number, at least 1", self.trials)
-        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         base, replay = self._request()
         hand = Hand(base.hand)
         method = self.retargeter or default_method(hand)

@@ -13,11 +13,11 @@ from geort_drake.cli.base import (
     Command,
     HandName,
     Json,
+    Seed,
     finish,
     methods_epilog,
     options,
     require,
-    require_json_file,
     require_output_file,
     require_output_folder,
     write_json,
@@ -67,7 +67,7 @@ class Train(Command):
     """universal map of the hand from which --universal starts"""
     fk: Literal["neural", "exact"] | None = None
     """forward kinematics in the training of geort (default: neural, as in the paper)"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of robot samples, synthetic play, training and metrics"""
     device: Literal["cpu", "cuda"] = "cpu"
     """where to train"""
@@ -91,8 +91,6 @@ class Train(Command):
             require_output_folder(self.output)
         else:
             require_output_file(self.output, ".safetensors")
-        require_json_file(self.json)
-        require(self.seed >= 0, "--seed", "a whole number from 0", self.seed)
         if self.universal:
             return self._train_universal()
         hand, settings = Hand(load_hand(self.hand)), self._settings()
