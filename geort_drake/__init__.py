@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from geort_drake.hands.assembly import add_hand_model as add_hand_model
     from geort_drake.hands.description import load_hand as load_hand
     from geort_drake.hands.hand import Hand as Hand
-    from geort_drake.metrics.metrics import evaluate as evaluate
+    from geort_drake.metrics.evaluation import evaluate as evaluate
     from geort_drake.people.readers import read_recording as read_recording
     from geort_drake.people.recording import Recording as Recording
     from geort_drake.people.synthetic.play import synthesize_play as synthesize_play
@@ -79,7 +79,7 @@ _MODULES = {
     "StateSpec": "rerun",
     "add_hand_model": "hands.assembly",
     "add_rerun_recorder": "rerun",
-    "evaluate": "metrics.metrics",
+    "evaluate": "metrics.evaluation",
     "load_hand": "hands.description",
     "load_retargeter": "retargeting.store",
     "load_scenario": "simulation.scenario_files",

@@ -16,7 +16,7 @@ import numpy as np
 from geort_drake.console import print_table
 from geort_drake.files import finite_json
 from geort_drake.hands.hand import Hand, canonical_kinematics
-from geort_drake.metrics.metrics import adapted, distal_phalanges, evaluate_frames
+from geort_drake.metrics.evaluation import adapted, distal_phalanges, evaluate_frames
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.population import sample_person

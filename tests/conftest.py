@@ -95,14 +95,14 @@ def light_benchmark(play):
 
 def _lighten(patch: pytest.MonkeyPatch, cache: Path) -> None:
     """Gives evaluations few samples, so that they are quick and mean little, and trainings another cache."""
-    from geort_drake.metrics import metrics
+    from geort_drake.metrics import evaluation
 
     patch.setenv("XDG_CACHE_HOME", str(cache))
-    patch.setattr(metrics, "ROBOT_SAMPLES", 500)
+    patch.setattr(evaluation, "ROBOT_SAMPLES", 500)
     for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
-        patch.setattr(metrics, name, functools.partial(getattr(metrics, name), anchors=30))
-    patch.setattr(metrics, "context_averaged", functools.partial(metrics.context_averaged, contexts=2))
-    patch.setattr(metrics, "call_times", functools.partial(metrics.call_times, calls=10))
+        patch.setattr(evaluation, name, functools.partial(getattr(evaluation, name), anchors=30))
+    patch.setattr(evaluation, "context_averaged", functools.partial(evaluation.context_averaged, contexts=2))
+    patch.setattr(evaluation, "call_times", functools.partial(evaluation.call_times, calls=10))
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake import load_retargeter, synthesize_play
 from geort_drake.errors import HandError, MethodError
-from geort_drake.metrics import map_figures, metrics
+from geort_drake.metrics import evaluation, metrics
 from geort_drake.metrics.compare import TABLES, flat
 from geort_drake.own_method import OwnMethod
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
@@ -56,13 +56,13 @@ def frames(rng):
 
 def test_motion_preservation_is_a_third_of_a_rotations_trace(frames, rng):
     """E⟨d, R d⟩ over the sphere is tr(R)/3 = (1 + 2 cos θ)/3. The gain plays no role; a constant map is 0."""
-    assert map_figures.motion_preservation(lambda p: 3 * p + 0.1, frames, rng) == pytest.approx(1.0)
-    assert map_figures.motion_preservation(np.zeros_like, frames, rng) == 0.0
-    assert map_figures.motion_preservation(lambda p: -p, frames, rng) == pytest.approx(-1.0)
+    assert metrics.motion_preservation(lambda p: 3 * p + 0.1, frames, rng) == pytest.approx(1.0)
+    assert metrics.motion_preservation(np.zeros_like, frames, rng) == 0.0
+    assert metrics.motion_preservation(lambda p: -p, frames, rng) == pytest.approx(-1.0)
 
     R = Rotation.from_rotvec([0.3, -0.5, 0.4])
     expected = (1 + 2 * math.cos(R.magnitude())) / 3
-    value = map_figures.motion_preservation(lambda p: p @ R.as_matrix().T, frames, rng, anchors=20_000)
+    value = metrics.motion_preservation(lambda p: p @ R.as_matrix().T, frames, rng, anchors=20_000)
     assert value == pytest.approx(expected, abs=0.01)
 
 
@@ -176,15 +176,15 @@ def test_posture_is_the_angle_between_distal_links(rng):
 def test_distal_links_turn_with_the_last_joint(allegro):
     """Their length is constant, and base joints turn them as well; a tip is its origin plus its link."""
     q = allegro.sample(20, seed=0)
-    links = metrics.distal_links(allegro)(q)
+    links = evaluation.distal_links(allegro)(q)
     lengths = np.linalg.norm(links, axis=-1)
     np.testing.assert_allclose(lengths, lengths[:1].repeat(20, axis=0), atol=1e-9)
     for finger, chain in zip(range(4), allegro.kinematics().fingers, strict=True):
         moved = q.copy()
         moved[:, chain.joint_indices[-1]] += 0.3
-        turned = metrics.distal_links(allegro)(moved)[:, finger]
+        turned = evaluation.distal_links(allegro)(moved)[:, finger]
         cosine = (turned * links[:, finger]).sum(axis=-1) / lengths[:, finger] ** 2
-        tips = metrics.fingertips_of(allegro)
+        tips = evaluation.fingertips_of(allegro)
         np.testing.assert_allclose(
             tips(moved)[:, finger] - tips(q)[:, finger], turned - links[:, finger], atol=1e-9
         )
@@ -202,12 +202,12 @@ def points(q):
 
 def test_jitter_is_the_gain_of_noise(frames, rng):
     """Twice for a map of gain 2; a map that averages two frames passes on 1/√2 of white noise."""
-    assert metrics.jitter(lambda p: 2 * joints(p), points, frames, 2 * frames, rng) == pytest.approx(2.0)
+    assert evaluation.jitter(lambda p: 2 * joints(p), points, frames, 2 * frames, rng) == pytest.approx(2.0)
 
     def smooth(p):
         return 0.5 * joints(p + np.concatenate([p[:1], p[:-1]]))
 
-    value = metrics.jitter(smooth, points, frames, points(smooth(frames)), rng)
+    value = evaluation.jitter(smooth, points, frames, points(smooth(frames)), rng)
     assert value == pytest.approx(math.sqrt(0.5), rel=0.05)
 
 
@@ -225,11 +225,11 @@ class Creeping:
 def test_engagement_tells_the_first_jump_from_what_follows(frames):
     """A fixed map jumps to its output and stays; one with a memory goes half way, and then settles."""
     start = np.zeros((3, 3))
-    rows = np.linspace(0, len(frames) - 1, metrics.ENGAGEMENTS).astype(int)
+    rows = np.linspace(0, len(frames) - 1, evaluation.ENGAGEMENTS).astype(int)
     distance = 1000 * np.linalg.norm(frames[rows], axis=-1).mean()
-    fixed = metrics.engagement(lambda p: p, lambda q: q, frames, start, 30.0)
+    fixed = evaluation.engagement(lambda p: p, lambda q: q, frames, start, 30.0)
     assert fixed == pytest.approx({"jump_mm": distance, "settling_mm": 0.0})
-    creeping = metrics.engagement(Creeping(), lambda q: q, frames, start, 30.0)
+    creeping = evaluation.engagement(Creeping(), lambda q: q, frames, start, 30.0)
     assert creeping == pytest.approx({"jump_mm": distance / 2, "settling_mm": distance / 2})
 
 
@@ -261,7 +261,7 @@ def test_a_method_of_whole_hands_gets_recorded_hands_with_moved_fingers(allegro,
     given = []
     method = OwnMethod(tmp_path / "mine.py", allegro.description)
     method._retarget = lambda p_HK: given.append(p_HK) or allegro.default_position
-    retarget = metrics.complete_hands(method, allegro, play)
+    retarget = evaluation.complete_hands(method, allegro, play)
     tips = play.fingertips(allegro.description.human_keypoints)
     shape = retarget(tips[:3]).shape
     assert shape == (3, 16) and retarget(tips[0]).shape == (16,)
@@ -280,23 +280,23 @@ def test_a_method_of_whole_hands_gets_recorded_hands_with_moved_fingers(allegro,
 def test_a_method_of_ones_own_is_evaluated_unless_its_outputs_are_unusable(allegro, play, tmp_path):
     (tmp_path / "mine.py").write_text(FOLLOWER.format(good=10**9))
     short = dataclasses.replace(play, t=play.t[:40], p_HK=play.p_HK[:40], valid=play.valid[:40])
-    figures = metrics.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
+    figures = evaluation.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
     assert figures["self_collision"] is not None and figures["posture"]["median"] > 0
     (tmp_path / "mine.py").write_text(FOLLOWER.format(good=15))
     with pytest.raises(MethodError, match=r"outputs are unusable: \{'of shape \(\)'"):
-        metrics.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
+        evaluation.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
 
 
 def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch):
     """The dictionary has every key, is JSON, repeats with its seed, and is perfect where it should be."""
-    monkeypatch.setattr(metrics, "ROBOT_SAMPLES", 20_000)
-    monkeypatch.setattr(metrics, "NumpyKinematics", lambda hand: hand)
+    monkeypatch.setattr(evaluation, "ROBOT_SAMPLES", 20_000)
+    monkeypatch.setattr(evaluation, "NumpyKinematics", lambda hand: hand)
 
     def identity(p):
         return np.reshape(p, (*p.shape[:-2], 9))
 
-    space = metrics.robot_space(PointHand(), seed=5)
-    result, p_BF = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
+    space = evaluation.robot_space(PointHand(), seed=5)
+    result, p_BF = evaluation.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
     np.testing.assert_array_equal(p_BF, frames)
     assert json.loads(json.dumps(result, allow_nan=False)).keys() == result.keys()
     # The tables show nothing that is not measured.
@@ -313,18 +313,18 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     assert result["coverage"]["15mm"] > 0.5
     assert set(result["coverage"]) == {"5mm", "10mm", "15mm"}
     assert result["self_collision_raw"] == pytest.approx((frames[:, 0, 0] < 0).mean())
-    again, *_ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
+    again, *_ = evaluation.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
     result.pop("latency_us"), again.pop("latency_us")
     assert result == again
-    without, *_ = metrics.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
+    without, *_ = evaluation.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
     missing = {"coverage", "coverage_context_averaged", "posture"}
     assert {key for key in without if without[key] is None} == missing
 
 
 def test_only_a_retargeter_of_the_hand_that_takes_batches_is_evaluated(allegro):
     with pytest.raises(HandError, match="another hand than 'allegro_right': joint_names differ"):
-        metrics.evaluate(load_retargeter("leap_right"), allegro, synthesize_play(0, duration_s=1.0))
+        evaluation.evaluate(load_retargeter("leap_right"), allegro, synthesize_play(0, duration_s=1.0))
     lost = np.where(np.arange(20) < 2, np.nan, np.zeros((16, 20))).T
     for answer, fault in ((lost[0], r"it returned \(16,\) for \(20, 4, 3\)"), (lost, "2 of 20 rows are not")):
         with pytest.raises(ValueError, match=fault):
-            metrics.evaluate_frames(lambda _, q=answer: q, allegro, np.zeros((20, 4, 3)), 60.0)
+            evaluation.evaluate_frames(lambda _, q=answer: q, allegro, np.zeros((20, 4, 3)), 60.0)

@@ -10,7 +10,7 @@ from light_training import LIGHT, train_lightly
 from geort_drake import Hand, Recording, evaluate, load_retargeter, train_map
 from geort_drake.cli import run_command
 from geort_drake.errors import RecordingError, UnknownNameError
-from geort_drake.metrics.map_figures import motion_preservation_track
+from geort_drake.metrics.metrics import motion_preservation_track
 from geort_drake.people.recording import PINCH_M
 from geort_drake.retargeting import train as retargeting_train
 from geort_drake.retargeting.train import cached_map

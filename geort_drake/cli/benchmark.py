@@ -148,15 +148,15 @@ class Benchmark(Command, ScenarioOptions):
             None if path is None else str(path.resolve()) for path in (self.recording, self.operator)
         )
         settings = Settings(
-            recording,
-            operator,
-            self.side or load_hand(first.hand).side,
-            self.seed,
-            self.zero_latency,
-            list(self.persons) or [first.person],
-            objects,
-            self._count,
-            self.trainings,
+            recording=recording,
+            operator=operator,
+            side=self.side or load_hand(first.hand).side,
+            seed=self.seed,
+            zero_latency=self.zero_latency,
+            persons=list(self.persons) or [first.person],
+            objects=objects,
+            trials=self._count,
+            trainings=self.trainings,
         )
         return Benchmark(self.output, settings, scenarios, names), list(names)
 

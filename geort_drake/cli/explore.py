@@ -50,9 +50,9 @@ class Explore(Command):
         from geort_drake import Hand, load_hand
         from geort_drake.console import track
         from geort_drake.methods import names_of, resolve
+        from geort_drake.metrics.evaluation import adapted
         from geort_drake.metrics.exploration import excerpt, response
         from geort_drake.metrics.explorer_recording import write_exploration
-        from geort_drake.metrics.metrics import adapted
         from geort_drake.retargeting.train import training_recording
 
         description = load_hand(self.hand)

@@ -20,7 +20,7 @@ from geort_drake.errors import GeortError, MapError, RecordingError
 from geort_drake.files import finite_json
 from geort_drake.hands.hand import Hand
 from geort_drake.methods import PYTHON_SUFFIX, resolve
-from geort_drake.metrics.metrics import (
+from geort_drake.metrics.evaluation import (
     MIN_FRAMES,
     adapted,
     complete_hands,

@@ -8,7 +8,8 @@ import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.hands.hand import Hand
-from geort_drake.metrics.metrics import PENETRATION, complete_hands, find_pinches
+from geort_drake.metrics.evaluation import complete_hands
+from geort_drake.metrics.metrics import PENETRATION, find_pinches
 from geort_drake.people.keypoints import FINGER_NAMES, mirrored
 from geort_drake.people.recording import Recording
 

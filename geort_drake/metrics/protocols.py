@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from geort_drake.errors import RecordingError
-from geort_drake.metrics.metrics import MIN_FRAMES
+from geort_drake.metrics.evaluation import MIN_FRAMES
 from geort_drake.people.recording import Recording
 
 SAME_PERSON, HELD_OUT, OTHER_PERSON = "same_person", "held_out", "other_person"
