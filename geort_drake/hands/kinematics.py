@@ -99,6 +99,11 @@ class HandKinematics:
         ]
         return replace(self, fingers=tuple(fingers), p_BW=M[:3, :3] @ self.p_BW)
 
+    def to_last_joints(self) -> "HandKinematics":
+        """Returns the hand whose fingertip points are the origins of the fingers' last joints."""
+        fingers = tuple(replace(finger, p_tip=np.zeros(3)) for finger in self.fingers)
+        return replace(self, fingers=fingers)
+
     def uncoupled(self) -> tuple["HandKinematics", np.ndarray]:
         """Returns the hand with independent joints in place of coupled ones.
 

@@ -3,7 +3,6 @@
 The robot's kinematics is exact. Left hands are mirrored, because human hands are always stored as right ones.
 """
 
-import dataclasses
 import time
 from collections.abc import Callable, Sequence
 
@@ -171,9 +170,7 @@ def distal_links(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
     They lead from the origin of each finger's last joint to the fingertip.
     """
     kinematics = canonical_kinematics(hand)
-    ends = [dataclasses.replace(finger, p_tip=np.zeros(3)) for finger in kinematics.fingers]
-    origins = dataclasses.replace(kinematics, fingers=tuple(ends))
-    tip, origin = _in_blocks(NumpyKinematics(kinematics)), _in_blocks(NumpyKinematics(origins))
+    tip, origin = (_in_blocks(NumpyKinematics(each)) for each in (kinematics, kinematics.to_last_joints()))
     return lambda q: tip(q) - origin(q)
 
 

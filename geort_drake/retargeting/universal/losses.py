@@ -5,7 +5,6 @@ figure. Distances of robot fingertips are in units of the fingertip radius, so t
 pinches.
 """
 
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 
@@ -29,8 +28,7 @@ class DistalDirections:
     """Computes the unit vectors from each finger's last joint to its tip, in B."""
 
     def __init__(self, kinematics: HandKinematics):
-        chains = [dataclasses.replace(chain, p_tip=np.zeros(3)) for chain in kinematics.fingers]
-        self._last_joints = dataclasses.replace(kinematics, fingers=tuple(chains))
+        self._last_joints = kinematics.to_last_joints()
         lengths = [np.linalg.norm(chain.p_tip) for chain in kinematics.fingers]
         self._lengths = torch.tensor(np.array(lengths)[:, None])
 
