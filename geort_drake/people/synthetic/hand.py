@@ -98,7 +98,7 @@ class HumanHand:
     def keypoints(self, theta: np.ndarray) -> np.ndarray:
         """Computes keypoints p_HK (..., 21, 3), m, at joint angles theta (..., 20), rad."""
         theta = np.asarray(theta, dtype=float)
-        z, x, _, _, bend = self.first_bone(theta)
+        x, _, z, bend = self.first_bone(theta)
         L = self.lengths
         c, s = np.cos(bend), np.sin(bend)
         p = np.zeros((*theta.shape[:-1], KEYPOINT_COUNT, 3))
@@ -113,7 +113,7 @@ class HumanHand:
 
     def fingertips(self, theta: np.ndarray) -> np.ndarray:
         """Computes fingertips p_HF (..., 5, 3), m, thumb to little, at joint angles theta (..., 20), rad."""
-        z, x, _, _, bend = self.first_bone(np.asarray(theta, dtype=float))
+        x, _, z, bend = self.first_bone(np.asarray(theta, dtype=float))
         along, across = self._in_plane(bend)
         p_BF = along[..., None] * z + across[..., None] * x
         return (self.R_HB @ p_BF[..., None])[..., 0] + self.p_HB
@@ -121,14 +121,14 @@ class HumanHand:
     def fingertip_jacobians(self, theta: np.ndarray) -> np.ndarray:
         """Computes ∂p_HF/∂θ (..., 5, 3, 4), m/rad: each tip's by the four joints of its finger."""
         theta = np.asarray(theta, dtype=float)
-        z, x, y, sin_twist, bend = self.first_bone(theta)
+        x, y, z, bend = self.first_bone(theta)
         along, across = self._in_plane(bend)
         tip = along[..., None] * z + across[..., None] * x
         last = self.lengths[:, 2] * np.array([np.cos(bend[..., 1]), np.sin(bend[..., 1])])
         J = np.empty((*tip.shape, 4))
         # Flexion rotates about y of the base frame, abduction rotates z towards y; the hinges rotate
         # z towards x.
-        J[..., 0] = along[..., None] * y - (across * sin_twist)[..., None] * z
+        J[..., 0] = along[..., None] * y - (across * np.sin(self.twist))[..., None] * z
         J[..., 0, 1], J[..., 1, 1], J[..., 2, 1] = tip[..., 2], 0.0, -tip[..., 0]
         J[..., 2] = -across[..., None] * z + (along - self.lengths[:, 0])[..., None] * x
         J[..., 3] = -last[1][..., None] * z + last[0][..., None] * x
@@ -220,14 +220,17 @@ class HumanHand:
         )
 
     def first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Returns z, x, y, sin(twist) (5,), bend: unit vectors (..., 5, 3) in B of first bone, bending and
-        abduction; angles (..., 5, 2), rad, of the second and third bone to the first.
+        """Returns the axes of the fingers' first bones, and the bends of the other two.
+
+        Returns:
+            Unit vectors x, y and z (..., 5, 3) in B of bending, of abduction and along the first bone; and
+            angles (..., 5, 2), rad, of the second and third bone to the first.
         """
         angles = theta.reshape(*theta.shape[:-1], 5, 4)
         x, y, z = bone_axes(angles[..., 0], angles[..., 1], self.twist)
         bend = angles[..., 2:].copy()
         bend[..., 1] += bend[..., 0]
-        return z, x, y, np.sin(self.twist), bend
+        return x, y, z, bend
 
     def _in_plane(self, bend: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns the tips' coordinates (..., 5), m, along and across the first bone in the bending plane."""

@@ -95,7 +95,8 @@ class SolidHand:
     def keypoint_depths(self, p_HK: np.ndarray) -> np.ndarray:
         """Computes depths (..., 10), m, as `depths` does, from this hand's keypoints p_HK (..., 21, 3), m."""
         directions = bone_directions(p_HK)
-        z, x, _, _, bend = self.hand.first_bone(joint_angles(directions, self.hand.R_HB, self.hand.twist))
+        theta = joint_angles(directions, self.hand.R_HB, self.hand.twist)
+        x, _, z, bend = self.hand.first_bone(theta)
         palmar = np.cos(bend[..., 1, None]) * x - np.sin(bend[..., 1, None]) * z
         palmar = (self.hand.R_HB @ palmar[..., None])[..., 0]
         chain = np.array(p_HK[..., 1:, :], dtype=float).reshape(*p_HK.shape[:-2], 5, 4, 3)
@@ -199,7 +200,7 @@ class SolidHand:
 
     def _capsules(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns both ends (..., 15, 3), m, in H, of the capsules' axes."""
-        z, x, _, _, bend = self.hand.first_bone(theta)
+        x, _, z, bend = self.hand.first_bone(theta)
         c, s = np.cos(bend)[..., None], np.sin(bend)[..., None]
         c1, c2, s1, s2 = c[..., 0, :], c[..., 1, :], s[..., 0, :], s[..., 1, :]
         along, across = self._end
@@ -217,7 +218,7 @@ class SolidHand:
 
         x are abduction, flexion and bend of each digit, as in `FingerMotion`.
         """
-        _, _, y, _, _ = self.hand.first_bone(theta)
+        _, y, _, _ = self.hand.first_bone(theta)
         x = np.zeros((5, 3))
         x[:, 0], x[:, 2] = np.cos(theta[1::4]), -np.sin(theta[1::4])
         axes = np.empty((5, 3, 3))
