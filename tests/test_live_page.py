@@ -244,6 +244,42 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     assert report["glove"]["refused"] == 0
 
 
+def test_the_end_of_a_task_offers_a_clip_of_the_attempt(browser, stub, address):
+    page = open_page(browser, stub, f"{address}/#key")
+    page.wait_for_selector("body[data-state=waiting]")
+    stub.send(engaged=True, following=True)
+    unseen = np.full((21, 3), np.nan)
+    for number in range(20):
+        stub.socket.send(
+            np.concatenate([[0.1 * number, 1, 0, 0, 0, 0.01 * number, 0, 0.05], unseen.ravel()])
+            .astype("<f4")
+            .tobytes()
+        )
+        page.wait_for_timeout(20)
+    outcome = {"phase": "done", "score": 1.0, "seconds": 2.0, "over": True, "success": True}
+    stub.send(engaged=True, following=True, outcome=outcome)
+    page.wait_for_selector("#result")
+    assert "Done in 2.0 s" in page.inner_text("#result") and "2.0 s (now)" in page.inner_text("#best")
+    with page.expect_download() as download:
+        page.click("#clip")
+    assert download.value.path().stat().st_size > 1000
+
+
+def test_a_simulated_person_is_watched_without_a_camera(browser, stub, address):
+    page = open_page(browser, stub, f"{address}/#key")
+    page.click("#simulated")
+    until(page, lambda: stub.of("hello")[-1]["device"] == "simulated")
+    page.wait_for_selector("#headline:has-text('gets ready')")
+    stub.send(simulated_person=True, scene=2)
+    page.wait_for_selector("#headline:has-text('A simulated person moves the robot')")
+    outcome = {"phase": "done", "score": 1.0, "seconds": 2.0, "over": True, "success": True}
+    stub.send(simulated_person=True, scene=2, outcome=outcome)
+    page.wait_for_selector("#result:has-text('The simulated person did it')")
+    assert page.inner_text("#best") == ""  # the times are the person's own
+    page.keyboard.press(" ")
+    until(page, lambda: stub.of("hello")[-1]["device"] != "simulated")
+
+
 def test_the_view_shows_where_bodies_are(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key")
     page.wait_for_selector("body[data-state=waiting]")

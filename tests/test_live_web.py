@@ -210,6 +210,21 @@ def test_an_unknown_object_is_refused_with_the_choices():
     assert operated.commands[0] == Reset(object="sphere")
 
 
+def test_another_hand_drops_who_moved_the_robot_but_not_who_watches():
+    """The new hand may be of the other side; a simulated person suits any."""
+    operated = known(station())
+    with pytest.raises(LiveError, match="no hand 'claw'; there are none to choose"):
+        operated.take(1, '{"type": "reset", "hand": "claw"}')
+    left = station(side="left").about
+    operated.change(left)
+    assert operated.operator is None and isinstance(operated.commands[-1], Disengage)
+    assert operated.welcome(1)["side"] == "left" and operated.welcome(1)["role"] == "spectator"
+    operated.take(1, hello(device="simulated"))
+    assert operated.simulated_person
+    operated.change(station().about)
+    assert operated.simulated_person
+
+
 def toy(p_HK: np.ndarray) -> np.ndarray:
     """Moves all joints with the middle fingertip, now and then beyond their limits."""
     return np.full(len(toy.joint_names), 20.0 * (p_HK[12, 2] - 0.1))

@@ -290,7 +290,7 @@ def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
         program.send_signal(signal.SIGINT)
         out, log = program.communicate(timeout=3 * PATIENCE_S)
     assert program.returncode == 0, log
-    assert scenes == {1, 2, 3}
+    assert scenes == {1, 2, 3, 4}
     report = json.loads(out)
     assert report["states"]["tracking"] > 0.5 and report["glove"]["received"] > 50
     assert report["glove"]["clock_offset_s"] is None and "time stamp" not in log
@@ -306,11 +306,14 @@ async def _drive(address: str) -> set[int]:
     """Engages, records until the robot follows for a while, and resets with another object and task."""
     scenes: set[int] = set()
     state: dict = {}
+    robot: dict = {}
 
     async with aiohttp.ClientSession() as session, session.ws_connect(address) as page:
 
         async def read():
             async for message in page:
+                if message.type == aiohttp.WSMsgType.TEXT and '"welcome"' in message.data:
+                    robot.update(json.loads(message.data))
                 if message.type == aiohttp.WSMsgType.TEXT and '"state"' in message.data:
                     state.update(json.loads(message.data))
                     scenes.add(state["scene"])
@@ -338,5 +341,9 @@ async def _drive(address: str) -> set[int]:
         await send_until(lambda: state["scene"] == 3, {"type": "stop"}, {"type": "reset", "task": "keys"})
         assert (state["task"], state["object"], state["outcome"]["phase"]) == ("keys", "keys", "none")
         assert not state["engaged"] and state["recording"] is None
+        await send_until(
+            lambda: state["scene"] == 4, {"type": "reset", "hand": "leap_right", "mount": "floating"}
+        )
+        assert robot["hand"] == "leap_right" and (state["task"], state["object"]) == ("grasp", "cylinder")
         reader.cancel()
     return scenes

@@ -10,17 +10,19 @@ from geort_drake.cli.live_session import print_keys, print_summary, retargeter_o
 from geort_drake.console import console
 from geort_drake.errors import GeortError, UsageError
 from geort_drake.files import require_writable
-from geort_drake.hands.description import HandDescription
+from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.live.robot_buses import open_bus
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import find_page, open_server
-from geort_drake.live.web.session import WebTeleoperation
+from geort_drake.live.web.session import Setup, WebTeleoperation
 from geort_drake.live.web.virtual_hands import RecordedHand
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.play import synthesize_play
+from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.store import shipped_maps
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
@@ -29,6 +31,8 @@ from geort_drake.simulation.tasks import find_task, task_names
 
 # Folder of the page's recordings, unless --record names another.
 _RECORDINGS = Path("runs/live")
+# What the hand is mounted on → name of the scenario.
+_MOUNTS = {"arm": "Grasp", "floating": "Floating"}
 
 
 def run_web(options: Any, scenario: Scenario, description: HandDescription, address: str | None) -> int:
@@ -40,31 +44,26 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, addr
     page = find_page()
     if address:
         _confirm_real_robot()
-    retarget, words = retargeter_of(options.retargeter, description)
-    model = RobotModel(scenario, description)
+    setup = _setup(options, scenario, description, address)
     link = None
     if address:
+        model = setup.model
         bus = open_bus(address, description)
         link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
-    scenarios = {scenario.task: scenario}
-    tasks: dict[str, list[str]] = {}
-    instructions: dict[str, str] = {}
-    if address is None:
-        for name in task_names():
-            task = find_task(name)
-            scenarios.setdefault(name, _like(scenario, task))
-            tasks[name], instructions[name] = task.cases(), task.summary
-    robot = "real" if address else "simulation"
-    about = RobotInfo(description.side, scenario.hand, robot, tasks, words, instructions)
+
+    def choose(hand: str, mount: str) -> Setup:
+        other = load_scenario(None, _MOUNTS[mount], options.scenario_text, hand)
+        return _setup(options, other, load_hand(hand), None)
+
     folder = options.record or _RECORDINGS
-    station = OperatorStation(about, play=lambda: RecordedHand(_recorded_hand(folder, description.side)))
+    station = OperatorStation(
+        setup.about, play=lambda: RecordedHand(_recorded_hand(folder, station.about.side))
+    )
     with open_server(station, page, options.host, options.port, options.open) as server:
         control = PageControl(station, server.publish, folder)
         teleoperation = WebTeleoperation(
-            scenarios,
-            description,
-            model,
-            retarget,
+            setup,
+            choose,
             station,
             server,
             control,
@@ -95,6 +94,37 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, addr
         finish({"Recording": last}, command("grasp", replay=last))
     write_json(options.json, summary)
     return 0
+
+
+def _setup(options: Any, scenario: Scenario, description: HandDescription, address: str | None) -> Setup:
+    """Returns a scenario's robot, with its map and tasks."""
+    retarget, words = retargeter_of(options.retargeter, description)
+    scenarios = {scenario.task: scenario}
+    mount = "arm" if scenario.hand_parent == Scenario().hand_parent else "floating"
+    tasks: dict[str, list[str]] = {}
+    instructions: dict[str, str] = {}
+    # Only the usual scenarios have other hands, mounts and tasks.
+    usual = address is None and options.scenario_file is None and options.scenario_name in _MOUNTS.values()
+    if address is None:
+        for name in task_names() if mount == "arm" else ("grasp",):
+            task = find_task(name)
+            scenarios.setdefault(name, _like(scenario, task))
+            tasks[name], instructions[name] = task.cases(), task.summary
+    named = options.retargeter is None or options.retargeter in METHODS
+    hands = sorted({*shipped_maps(), scenario.hand}) if usual and named else []
+    robot = "real" if address else "simulation"
+    about = RobotInfo(
+        description.side,
+        scenario.hand,
+        robot,
+        tasks,
+        words,
+        instructions,
+        mount,
+        hands,
+        [*_MOUNTS] if usual else [],
+    )
+    return Setup(about, scenarios, description, RobotModel(scenario, description), retarget)
 
 
 def _recorded_hand(folder: Path, side: str) -> Recording:

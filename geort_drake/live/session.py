@@ -25,7 +25,7 @@ HOLD_S = 0.5
 # A state is shown once it has lasted this long, s.
 STEADY_S = 0.3
 # How often keys, robot and state are checked, s.
-_STEP_S = 0.02
+STEP_S = 0.02
 # A diagram that lags more than this, s, continues at the present time instead of catching up.
 _MAX_LATENESS_S = 0.05
 
@@ -137,7 +137,7 @@ def run_session(
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
         kind = state.partition(";")[0]  # without the reason of a refusal
-        states[kind] = states.get(kind, 0.0) + _STEP_S
+        states[kind] = states.get(kind, 0.0) + STEP_S
         if (shown := steady.step(time, state)) != last:
             on_state(time, shown)
             last = shown
@@ -149,7 +149,7 @@ def run_session(
             loop.engage(root, False)
         return ended is None or time < ended + HOLD_S
 
-    late = run_in_real_time(simulator, _STEP_S, go_on)
+    late = run_in_real_time(simulator, STEP_S, go_on)
     return SessionReport(round(root.get_time(), 6), {k: round(v, 6) for k, v in states.items()}, late)
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses as dc
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
@@ -16,6 +16,7 @@ from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import Stage
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
@@ -40,6 +41,7 @@ class Teleoperation:
     wrist_checks: WristChecks
     wrist_to_arm: WristToArm
     meter: DelayMeter | None
+    simulated_person: ClassVar[bool] = False
 
     def engage(self, root: Context, engaged: bool) -> None:
         """Makes the robot follow the person, or brake and hold, in a root context of the diagram."""
@@ -67,10 +69,17 @@ class Teleoperation:
 
     def phase(self, root: Context) -> str | None:
         """Returns the name of the task's present state; None without a simulation."""
-        if self.simulation is None:
-            return None
-        port, names = next(iter(self.simulation.stage.states.values()))
-        return names[int(port.Eval(port.get_system().GetMyContextFromRoot(root))[0])]
+        return None if self.simulation is None else phase_of(self.simulation.stage, root)
+
+    @property
+    def late(self) -> int:
+        """Number of the glove's frames that came late."""
+        return self.glove.late if isinstance(self.glove, GloveStream) else 0
+
+    def delay(self, newest: int) -> dict[str, Any]:
+        """Returns the delay of the newest samples, see `DelayMeter`; the glove must have stamps."""
+        assert self.meter is not None
+        return self.meter.delay(newest)
 
     def state(self, root: Context) -> str:
         """Returns the state of the fingers and why they are held.
@@ -89,6 +98,12 @@ class Teleoperation:
             return status
         wrist = _eval(self.wrist_checks, "state", root)
         return f"arm {wrist}" if wrist else state
+
+
+def phase_of(stage: Stage, root: Context) -> str:
+    """Returns the name of a task's present state."""
+    port, names = next(iter(stage.states.values()))
+    return names[int(port.Eval(port.get_system().GetMyContextFromRoot(root))[0])]
 
 
 def _eval(system: System, port: str, root: Context) -> Any:

@@ -3,7 +3,7 @@
 import { Camera } from "./camera.js";
 import { Connection } from "./connection.js";
 import { Headset, headsetMode } from "./headset.js";
-import { show, showTasks } from "./panel.js";
+import { show, showChoices } from "./panel.js";
 import { Pointer } from "./pointer.js";
 import { Replay } from "./replay.js";
 import { best, remember } from "./times.js";
@@ -65,7 +65,8 @@ const connection = new Connection({
   onPoses(values) {
     if (scene === null || replay.running) return;
     view.setPoses(values);
-    if (model.state?.engaged && !model.state.outcome?.over) replay.add(values);
+    const { engaged, simulated_person, outcome } = model.state ?? {};
+    if ((engaged || simulated_person) && !outcome?.over) replay.add(values);
   },
 });
 
@@ -82,10 +83,12 @@ function hello() {
 
 /** The first welcome says of which side the robot is; the answer to `hello` whether this page has the controls. */
 function receiveWelcome(welcome) {
-  const first = !model.welcome;
-  Object.assign(model, { connected: !first, welcome });
-  showTasks(welcome.tasks);
-  if (first) hello();
+  const before = model.welcome;
+  Object.assign(model, { connected: before !== null, welcome });
+  showChoices(welcome);
+  // Another robot may have the other side, so whoever moves it is asked anew.
+  const dropped = before?.role === "operator" && welcome.role === "spectator";
+  if (!before || dropped) hello();
 }
 
 function receiveRefusal({ text }) {
@@ -101,7 +104,7 @@ function receiveRefusal({ text }) {
 function receiveState(state) {
   const over = state.outcome?.over && !model.state?.outcome?.over && state.scene === model.state?.scene;
   model.state = state;
-  if (over && state.outcome.success) remember(model.welcome.hand, state);
+  if (over && state.outcome.success && !state.simulated_person) remember(model.welcome.hand, state);
   model.best = best(model.welcome.hand, state);
   view.highlight(cuedBody(state.outcome?.phase));
   if (state.scene === scene) return;
@@ -165,8 +168,10 @@ async function use(device, start) {
   const previous = model.device;
   if (previous === "headset") return headset.stop();
   stopUsing();
+  if (previous === "simulated") setUp();
   if (previous === device) return;
   model.device = device;
+  if (device === "simulated") setUp();
   if (model.welcome) hello();
   refresh();
   await start().catch(({ name, message }) => stopUsing(`The ${device} cannot be used: ${REASONS[name] ?? message}.`));
@@ -177,6 +182,13 @@ element("pointer").onclick = () =>
     view.controls.enabled = false;
     pointer.start();
   });
+/** The server changes between its simulated person and one's own hand. */
+function setUp() {
+  model.leaving = scene;
+  if (model.device === null && model.welcome) hello();
+}
+
+element("simulated").onclick = () => use("simulated", async () => {});
 // The server plays the recording.
 element("recording-hand").onclick = () =>
   use("recording", async () => {
@@ -207,6 +219,7 @@ document.addEventListener("visibilitychange", () => {
 
 async function toggle() {
   if (element("engage").disabled) return;
+  if (model.device === "simulated") return element("simulated").click();
   if (model.welcome.role === "spectator") return hello();
   if (model.state?.engaged) return connection.send({ type: "disengage" });
   if (model.welcome.robot === "real") {
@@ -231,14 +244,11 @@ function reset(choice = {}) {
 
 element("engage").onclick = toggle;
 element("reset").onclick = () => reset();
-element("task-name").onchange = ({ target }) => {
-  reset({ task: target.value });
-  target.blur();
-};
-element("object").onchange = ({ target }) => {
-  reset({ object: target.value });
-  target.blur();
-};
+for (const [id, name] of Object.entries({ hand: "hand", mount: "mount", "task-name": "task", object: "object" }))
+  element(id).onchange = ({ target }) => {
+    reset({ [name]: target.value });
+    target.blur();
+  };
 element("keep").onchange = refresh;
 element("record").onclick = () =>
   connection.send(model.state?.recording ? { type: "stop" } : { type: "record", keep: true });
@@ -255,10 +265,15 @@ element("clip").onclick = async ({ target }) => {
   target.disabled = true;
   const file = await replay.film();
   target.disabled = false;
-  if (!file) return;
+  if (!file) {
+    target.textContent = "No clip could be recorded";
+    target.disabled = true;
+    return;
+  }
   const link = Object.assign(document.createElement("a"), { href: URL.createObjectURL(file), download: file.name });
   link.click();
-  URL.revokeObjectURL(link.href);
+  // A browser reads the file after the click; revoked at once, what it saves is empty.
+  setTimeout(() => URL.revokeObjectURL(link.href), 60_000);
 };
 
 // Browsers that block cookies throw at any use of the storage; then the length is not remembered.

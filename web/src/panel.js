@@ -9,7 +9,11 @@ const DEVICE_WORDS = {
   headset: "The robot is in your headset.",
   pointer: "The mouse moves the coloured hand.",
   recording: "A recorded hand moves; without one, a synthetic hand at play.",
+  simulated: "A simulated person does the task, as in geort-drake grasp.",
 };
+const HANDS = { allegro: "Allegro", leap: "LEAP" };
+const MOUNTS = { arm: "On an arm", floating: "Floating" };
+const CHOICES = ["hand", "mount", "task-name", "object"];
 const element = (id) => document.getElementById(id);
 
 /** Shows a `Model`; returns the situation that it shows. */
@@ -31,6 +35,7 @@ export function show(model, steady) {
   write("start-words", failure || DEVICE_WORDS[device] || element("start").dataset.words);
   write("pointer", device === "pointer" ? "Stop using the mouse" : "Use the mouse");
   write("recording-hand", device === "recording" ? "Stop the recorded hand" : "Play a recorded hand");
+  write("simulated", device === "simulated" ? "Stop watching" : "Watch a simulated person");
   element("start").dataset.device = device ?? "";
   element("pointer-words").hidden = device !== "pointer";
   write("grip", `Now: ${model.grip === "hand" ? "whole hand" : model.grip}.`);
@@ -45,12 +50,16 @@ export function show(model, steady) {
 
   const operator = model.connected && welcome?.role === "operator";
   const free = welcome?.role === "spectator" && state?.operator === false;
-  const ready = operator && (state?.engaged || (hand.seen && model.leaving === null));
+  const watched = operator && device === "simulated";
+  const ready = operator && (state?.engaged || watched || (hand.seen && model.leaving === null));
   element("engage").disabled = !free && !ready;
-  write(element("engage").querySelector("span"), free ? "Take the controls" : state?.engaged ? "Disengage" : "Engage");
+  const act = watched ? "Stop" : state?.engaged ? "Disengage" : "Engage";
+  write(element("engage").querySelector("span"), free ? "Take the controls" : act);
   const fixed = !operator || !state?.task;
-  element("reset").disabled = element("task-name").disabled = element("object").disabled = fixed;
-  if (state?.task && document.activeElement !== element("task-name") && document.activeElement !== element("object")) {
+  for (const id of ["reset", ...CHOICES]) element(id).disabled = fixed;
+  if (state?.task && !CHOICES.includes(document.activeElement?.id)) {
+    element("hand").value = welcome.hand;
+    element("mount").value = welcome.mount;
     element("task-name").value = state.task;
     showObjects(welcome.tasks[state.task]);
     element("object").value = state.object;
@@ -68,18 +77,32 @@ export function show(model, steady) {
   return now;
 }
 
-/** Fills the choice of tasks. */
-export const showTasks = (tasks) => fill("task-name", Object.keys(tasks));
+/** Fills the choices of hand, mount and task. */
+export function showChoices({ hands, mounts, tasks }) {
+  element("robot").hidden = hands.length < 2 && mounts.length < 2;
+  fill("hand", hands, handWords);
+  fill("mount", mounts, (name) => MOUNTS[name] ?? plainName(name));
+  fill("task-name", Object.keys(tasks));
+}
 
 function showObjects(names) {
   element("object").hidden = names.length < 2;
   fill("object", names);
 }
 
-function fill(id, names) {
+const plainName = (name) => sentenceCase(name.replaceAll("_", " "));
+
+/** A hand's name in words: "LEAP, right". */
+function handWords(name) {
+  const [, model, side] = name.match(/^(.*)_(left|right)$/) ?? [];
+  return model ? `${HANDS[model] ?? plainName(model)}, ${side}` : plainName(name);
+}
+
+function fill(id, names, words = plainName) {
   const { options } = element(id);
   if (names.join() === Array.from(options, ({ value }) => value).join()) return;
-  element(id).replaceChildren(...names.map((name) => new Option(sentenceCase(name.replaceAll("_", " ")), name)));
+  element(id).hidden = names.length === 0;
+  element(id).replaceChildren(...names.map((name) => new Option(words(name), name)));
 }
 
 function showTask(state) {
@@ -111,10 +134,14 @@ function showResult(state, times) {
   element("result").hidden = !outcome?.over;
   if (!outcome?.over) return;
   const { success, seconds, score } = outcome;
+  const simulated = state.simulated_person;
   element("result").dataset.outcome = success ? "success" : "failure";
   write("result-title", success ? `Done in ${seconds.toFixed(1)} s` : "Not this time");
-  write("result-words", success ? "Your best times here:" : `You came ${Math.round(100 * score)} % of the way.`);
-  const items = success ? times.map((time) => `${time.toFixed(1)} s${time === seconds ? " (now)" : ""}`) : [];
+  const who = simulated ? "The simulated person" : "You";
+  const words = simulated ? "The simulated person did it. Now you?" : "Your best times here:";
+  write("result-words", success ? words : `${who} came ${Math.round(100 * score)} % of the way.`);
+  write("again", simulated ? "Watch another" : "Try again");
+  const items = success && !simulated ? times.map((time) => `${time.toFixed(1)} s${time === seconds ? " (now)" : ""}`) : [];
   if (items.join() === Array.from(element("best").children, ({ textContent }) => textContent).join()) return;
   element("best").replaceChildren(
     ...items.map((textContent) => Object.assign(document.createElement("li"), { textContent })),

@@ -1,6 +1,7 @@
 // The attempt of a session as the page saw it: replayed in the view, and as a film to keep.
 
 const LONGEST_S = 180;
+const GROUND = "#e6ebef"; // behind the robot, as on the page
 
 export class Replay {
   /** @param {import("./view.js").View} view */
@@ -53,7 +54,22 @@ export class Replay {
   async film() {
     const type = ["video/mp4", "video/webm"].find((name) => globalThis.MediaRecorder?.isTypeSupported(name));
     if (!type) return null;
-    const stream = this.view.canvas.captureStream(30);
+    const { canvas } = this.view;
+    // Encoders want even sizes, and films have no transparent ground.
+    const picture = Object.assign(document.createElement("canvas"), {
+      width: canvas.width & ~1,
+      height: canvas.height & ~1,
+    });
+    const context = picture.getContext("2d", { alpha: false });
+    // A stream that chooses its pictures by itself gets none where drawing is slow.
+    const stream = picture.captureStream(0);
+    const [track] = stream.getVideoTracks();
+    this.view.onDraw = () => {
+      context.fillStyle = GROUND;
+      context.fillRect(0, 0, picture.width, picture.height);
+      context.drawImage(canvas, 0, 0, picture.width, picture.height);
+      track.requestFrame();
+    };
     const recorder = new MediaRecorder(stream, { mimeType: type, videoBitsPerSecond: 6e6 });
     const parts = [];
     recorder.ondataavailable = ({ data }) => parts.push(data);
@@ -62,6 +78,8 @@ export class Replay {
     await this.play();
     recorder.stop();
     await ended;
+    this.view.onDraw = undefined;
+    if (parts.every(({ size }) => size === 0)) return null;
     return new File(parts, `geort-drake.${type.split("/")[1]}`, { type });
   }
 }

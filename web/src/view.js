@@ -193,6 +193,7 @@ export class View {
     this.stale = false;
     this.#move();
     this.renderer.render(this.scene, this.camera);
+    this.onDraw?.();
   }
 }
 

@@ -5,7 +5,7 @@
  * @property {boolean} connected
  * @property {object | null} welcome the server's last message of this type
  * @property {object | null} state the server's last message of this type
- * @property {"camera" | "headset" | "pointer" | "recording" | null} device
+ * @property {"camera" | "headset" | "pointer" | "recording" | "simulated" | null} device
  * @property {string} failure why the device cannot be used, or ""
  * @property {string} refusal of the last message, or ""
  * @property {number | null} leaving number of the scene that a reset ends, until the next one is there
@@ -28,6 +28,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
     return state?.operator === false
       ? say("waiting", "Nobody has the controls", "Take them to move the robot.")
       : say("waiting", "You are watching", "Another page has the controls.");
+  if (device === "simulated") return watched(state, leaving);
   if (leaving !== null) return say("waiting", "Setting up", "The robot holds until the new scene is there.");
   const virtual = device === "pointer" || device === "recording";
   const wrong = hand.seen && hand.side !== side;
@@ -54,6 +55,14 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
   return state?.fist > 0
     ? say("tracking", "Keep the fist", "The robot follows when the ring is full.")
     : say("tracking", "Hold a fist to take control", "Or press Engage. The robot moves as your hand does.");
+}
+
+function watched(state, leaving) {
+  if (leaving !== null || !state?.simulated_person)
+    return say("waiting", "The simulated person gets ready", "Planning and practice take up to a minute the first time.");
+  const { over, success } = state.outcome;
+  if (over) return say("tracking", success ? "Done" : "Not this time", "Watch another, or move the robot yourself.");
+  return say("engaged", "A simulated person moves the robot", state.slow ? SLOW : "The coloured hand is theirs.");
 }
 
 const SLOW =
@@ -94,7 +103,7 @@ const sentence = (words) => (words ? `${words[0].toUpperCase()}${words.slice(1).
 
 /** How well the hand is seen, from 0 to 1, and in words that agree with what the robot does. */
 export function quality({ hand, state, device }) {
-  if (device === "pointer" || device === "recording") return { value: 1, words: "No camera needed" };
+  if (["pointer", "recording", "simulated"].includes(device)) return { value: 1, words: "No camera needed" };
   if (!hand.seen) return { value: 0, words: "No hand seen" };
   const value = hand.score * Math.min(hand.rate / 25, 1);
   if (state?.slow) return { value: Math.min(value, 0.4), words: "Hand seen, but this computer is too slow" };

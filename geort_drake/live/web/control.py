@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from msgspec.structs import replace
 from pydrake.systems.framework import Context
 
 from geort_drake.console import warn
@@ -17,6 +18,7 @@ from geort_drake.live.session import SteadyState
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation
+from geort_drake.live.web.watched_trial import WatchedTrial
 from geort_drake.people.recording_log import RecordingLog
 from geort_drake.systems.glove_recorder import GloveRecorder
 
@@ -33,8 +35,8 @@ class PageControl:
     """Engages the person as the page asks; the `Control` of all sessions of a page.
 
     Attributes:
-        loop, recorder: diagram and recorder of the present session.
-        task, object: task and object of the next session; None for the scenario's.
+        loop, recorder: what the present session runs, and its recorder; a watched trial has none.
+        choice: robot hand, mount, task and object of the next session; None for the first or usual one.
         note: text shown instead of the state until the next command.
         again: whether the page asked for a new session.
         recordings: files that were written.
@@ -52,10 +54,9 @@ class PageControl:
         folder: Path,
     ):
         self._station, self._publish, self._folder = station, publish, folder
-        self.loop: Teleoperation
-        self.recorder: GloveRecorder
-        self.task: str | None = None
-        self.object: str | None = None
+        self.loop: Teleoperation | WatchedTrial
+        self.recorder: GloveRecorder | None
+        self.choice = Reset()
         self.note = ""
         self.again = False
         self.recordings: list[Path] = []
@@ -67,18 +68,25 @@ class PageControl:
         self._parts: RecordingLog | None = None
         self._finishing: list[threading.Thread] = []
 
-    def begin(self, loop: Teleoperation, recorder: GloveRecorder, scene: int, facts: dict[str, Any]) -> None:
+    def begin(
+        self,
+        loop: Teleoperation | WatchedTrial,
+        recorder: GloveRecorder | None,
+        scene: int,
+        facts: dict[str, Any],
+    ) -> None:
         """Begins a session with the scene's number, and facts for recordings: robot, task, object, seed."""
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
-        self.task, self.object = facts.get("task"), facts.get("object")
-        self._started = math.nan
+        self.choice = replace(self.choice, task=facts.get("task"), object=facts.get("object"))
+        self._started = 0.0 if loop.simulated_person else math.nan
         self._pace: deque[tuple[float, float]] = deque()
         self.again, self._steady = False, SteadyState()
-        recorder.switch(None)
+        if recorder is not None:
+            recorder.switch(None)
 
     def end(self) -> None:
         """Ends the session's recording, if there is one."""
-        if self._parts is None:
+        if self._parts is None or self.recorder is None:
             return
         parts, self._parts = self._parts, None
         self.recorder.switch(None)
@@ -108,18 +116,18 @@ class PageControl:
             command = self._station.commands.popleft()
             self.note = ""
             if isinstance(command, Engage | Disengage):
-                engaged = isinstance(command, Engage)
+                engaged = isinstance(command, Engage) and not self.loop.simulated_person
             elif isinstance(command, Fist):
                 engaged ^= self._fist_counts(engaged)
             elif isinstance(command, Reset):
-                if command.task not in (None, self.task):
-                    self.task, self.object = command.task, self._station.about.tasks[command.task][0]
-                self.object, self.again = command.object or self.object, True
+                self.choice, self.again = _changed(self.choice, command), True
             elif isinstance(command, Record):
                 self._consent = True
             elif isinstance(command, Stop):
                 self._consent = False
                 self.end()
+        if self._station.simulated_person != self.loop.simulated_person and not self.note:
+            self.again = True
         if self._parts is not None and self._parts.failed:
             self._consent = False
             self.end()
@@ -127,8 +135,8 @@ class PageControl:
             self.loop.restart(root)
             self._started = root.get_time() if engaged else math.nan
         # Recording begins at the engagement, because a replay follows from its start.
-        if engaged and self._consent and self._parts is None:
-            self._record()
+        if engaged and self._consent and self._parts is None and self.recorder is not None:
+            self._record(self.recorder)
         now = time.monotonic()
         if now - self._published >= _STATE_S:
             self._published = now
@@ -142,7 +150,7 @@ class PageControl:
         outcome = self.loop.outcome(self._root)
         return not engaged or outcome is None or outcome.over or self.loop.phase(self._root) == UNTOUCHED
 
-    def _record(self) -> None:
+    def _record(self, recorder: GloveRecorder) -> None:
         what = [str(self._facts[name]) for name in ("object", "seed") if name in self._facts]
         name = "-".join([time.strftime("%Y-%m-%dT%H-%M-%S"), *what])
         operator = self._station.operator
@@ -155,17 +163,18 @@ class PageControl:
             "began": self._clock(self._root),
             **self._facts,
         }
-        if self.recorder.robot_signals:
-            facts["robot_signals"] = self.recorder.robot_signals
+        if recorder.robot_signals:
+            facts["robot_signals"] = recorder.robot_signals
         try:
             self._parts = RecordingLog(self._folder / f"{name}.npz", facts)
         except GeortError as error:
             self.note, self._consent = str(error), False
             return
-        self.recorder.switch(self._parts)
+        recorder.switch(self._parts)
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
-        station = self._station
+        station, outcome = self._station, self._outcome(root)
+        over = outcome is not None and outcome["over"]
         return {
             "type": "state",
             "scene": self._scene,
@@ -173,16 +182,17 @@ class PageControl:
             "object": self._facts.get("object"),
             "time": self._clock(root),
             "engaged": engaged,
+            "simulated_person": self.loop.simulated_person,
             "following": self.loop.following(root),
-            "slow": self._is_slow(root),
+            "slow": self._is_slow(root) and not over,
             "status": self.note or self._steady.step(root.get_time(), self.loop.state(root)),
             "fist": station.fist if self._fist_counts(engaged) else 0.0,
-            "outcome": self._outcome(root),
+            "outcome": outcome,
             "delay": self._delay(),
             "filter_delay": station.filter_delay,
             "received": station.received,
             "refused": station.refused,
-            "late": self.loop.glove.late,  # type: ignore[attr-defined]
+            "late": self.loop.late,
             "operator": station.operator is not None,
             "spectators": station.spectators,
             "recording": self._parts.path.name if self._parts else WAITING if self._consent else None,
@@ -214,5 +224,12 @@ class PageControl:
         }
 
     def _delay(self) -> dict[str, Any]:
-        assert self.loop.meter is not None  # a glove stream has stamps
-        return self.loop.meter.delay(_NEWEST)
+        return self.loop.delay(_NEWEST)
+
+
+def _changed(choice: Reset, wish: Reset) -> Reset:
+    """Returns a choice with a page's wishes; another hand, mount or task begins with its usual object."""
+    robot = replace(choice, hand=wish.hand or choice.hand, mount=wish.mount or choice.mount)
+    task = wish.task or choice.task
+    same = (robot.hand, robot.mount, task) == (choice.hand, choice.mount, choice.task)
+    return replace(robot, task=task, object=wish.object or (choice.object if same else None))

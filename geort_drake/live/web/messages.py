@@ -32,7 +32,7 @@ class Hello(Message):
 
     version: Literal[1]
     role: Literal["operator", "spectator"]
-    device: Literal["camera", "headset", "scripted", "pointer", "recording"]
+    device: Literal["camera", "headset", "scripted", "pointer", "recording", "simulated"]
     side: Literal["left", "right"]
     hand_length: Annotated[float, Meta(ge=0.1, le=0.3)] | None = None
 
@@ -82,11 +82,16 @@ class Disengage(Message):
     """Asks the robot to brake and hold."""
 
 
-class Reset(Message):
-    """Restarts the scene, with another task or object if one is named."""
+Name = Annotated[str, Meta(max_length=64)]
 
-    task: Annotated[str, Meta(max_length=64)] | None = None
-    object: Annotated[str, Meta(max_length=64)] | None = None
+
+class Reset(Message):
+    """Restarts the scene, with another robot hand, mount, task or object where one is named."""
+
+    hand: Name | None = None
+    mount: Name | None = None
+    task: Name | None = None
+    object: Name | None = None
 
 
 class Record(Message):

@@ -50,6 +50,9 @@ class RobotInfo:
     tasks: dict[str, list[str]]
     map: str
     instructions: dict[str, str] = dc.field(default_factory=dict)
+    mount: str = "arm"
+    hands: list[str] = dc.field(default_factory=list)
+    mounts: list[str] = dc.field(default_factory=list)
 
 
 @dc.dataclass
@@ -118,6 +121,12 @@ class OperatorStation:
         self._people: set[int] = set()
 
     @property
+    def simulated_person(self) -> bool:
+        """Whether the operator watches a simulated person instead of moving the robot."""
+        operator = self.operator
+        return operator is not None and operator.device == "simulated"
+
+    @property
     def spectators(self) -> int:
         """Number of pages that only watch."""
         return len(self._people) - (self.operator is not None)
@@ -141,10 +150,16 @@ class OperatorStation:
             hands.append(self._hands.popleft())
         return hands
 
+    def change(self, about: RobotInfo) -> None:
+        """Replaces the robot. The operator must introduce the hand anew; it may be of the other side."""
+        if self.operator is not None and not self.simulated_person:
+            self._leave_controls()
+        self.about, self._played = about, None
+
     def join(self, person: int) -> dict[str, Any]:
         """Adds a connection, a spectator until its `hello`, and returns the first message to it."""
         self._people.add(person)
-        return self._welcome(person)
+        return self.welcome(person)
 
     def leave(self, person: int) -> None:
         """Removes a connection. If it was the operator, the hand is lost and disengaged at once."""
@@ -187,7 +202,7 @@ class OperatorStation:
         wanted = hello.role == "operator"
         if self._is_operator(person):
             self._leave_controls()
-        if wanted and hello.side != self.about.side:
+        if wanted and hello.device != "simulated" and hello.side != self.about.side:
             raise MismatchError(
                 f"this is a {hello.side} hand, but the robot's is a {self.about.side} one: use the other hand"
             )
@@ -195,9 +210,10 @@ class OperatorStation:
             if hello.device == "recording" and self._play is not None:
                 self._played = self._played or self._play()
             self.operator = Operator(person, hello.device, HandReader(hello.side, hello.hand_length))
-        return self._welcome(person)
+        return self.welcome(person)
 
-    def _welcome(self, person: int) -> dict[str, Any]:
+    def welcome(self, person: int) -> dict[str, Any]:
+        """Returns the message that tells a connection its role and the robot's facts."""
         role = "operator" if self._is_operator(person) else "spectator"
         return {"type": "welcome", "version": VERSION, "role": role, **dc.asdict(self.about)}
 
@@ -255,6 +271,12 @@ class OperatorStation:
     def _ask(self, operator: Operator, command: Command) -> None:
         if isinstance(command, Reset):
             tasks = self.about.tasks
+            for kind, name, names in (
+                ("hand", command.hand, self.about.hands),
+                ("mount", command.mount, self.about.mounts),
+            ):
+                if name not in (None, *names):
+                    raise LiveError(f"no {kind} '{name}'; there are {', '.join(names) or 'none to choose'}")
             if command.task not in (None, *tasks):
                 raise LiveError(f"no task '{command.task}'; there are {', '.join(tasks)}")
             objects = tasks[command.task] if command.task else [*itertools.chain(*tasks.values())]

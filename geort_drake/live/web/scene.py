@@ -111,6 +111,19 @@ class Scene:
             "geometries": geometries,
         }
 
+    def frame(self, time: float, poses: list[RigidTransform], p_HK: np.ndarray | None, side: str) -> bytes:
+        """Returns the binary message of one moment.
+
+        Args:
+            time: s.
+            poses: X_WB by body index.
+            p_HK: the person's keypoints (21, 3), m in H, a left hand mirrored; None while the hand is lost.
+            side: "right" or "left", of the robot's hand.
+        """
+        points = np.full((21, 3), np.nan) if p_HK is None else mirrored(p_HK) if side == "left" else p_HK
+        parts = [pose_to_vector(poses[index]) for index in map(int, self.moving)]
+        return np.concatenate([[time], *parts, points.ravel()]).astype("<f4").tobytes()
+
     def _visible(self, plant: MultibodyPlant, body: RigidBody) -> list[GeometryId]:
         frame = plant.GetBodyFrameIdIfExists(body.index())
         if frame is None:
@@ -189,18 +202,13 @@ class PoseStream(PythonSystem):
         send: Callable[[bytes], None],
     ):
         super().__init__()
-        self._moving, self._p_HK, self._send = [int(index) for index in scene.moving], p_HK, send
-        self._mirror = side == "left"
+        self._scene, self._p_HK, self._side, self._send = scene, p_HK, side, send
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self.DeclarePeriodicPublishEvent(FRAME_PERIOD, 0.0, self._publish)
 
     def _publish(self, context: Context) -> EventStatus:
         poses = self._poses.Eval(context)
-        p = self._p_HK()
-        points = np.full((21, 3), np.nan) if p is None else mirrored(p) if self._mirror else p
-        parts = [pose_to_vector(poses[index]) for index in self._moving]
-        frame = np.concatenate([[context.get_time()], *parts, points.ravel()])
-        self._send(frame.astype("<f4").tobytes())
+        self._send(self._scene.frame(context.get_time(), poses, self._p_HK(), self._side))
         return EventStatus.Succeeded()
 
 

@@ -15,7 +15,7 @@ from aiohttp import WSMsgType, web
 
 from geort_drake.errors import GeortError, LiveError
 from geort_drake.live.web.messages import MAX_BYTES
-from geort_drake.live.web.operator_station import OperatorStation
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 
 _MAX_CONNECTIONS = 8
 _RATE_HZ = 200.0  # most messages a second of one connection, with bursts of a second
@@ -133,6 +133,16 @@ class WebServer:
     def show(self, scene: bytes, meshes: list[bytes]) -> None:
         """Replaces the scene and its meshes."""
         self._scene, self._meshes = scene, meshes
+
+    def introduce(self, about: RobotInfo) -> None:
+        """Tells all pages of another robot."""
+
+        def send() -> None:
+            self._station.change(about)
+            for connection in self._connections.values():
+                connection.answer(self._station.welcome(connection.number))
+
+        self._loop.call_soon_threadsafe(send)
 
     def publish(self, state: str | None = None, frame: bytes | None = None) -> None:
         """Sends a state or a frame of poses to all pages; a slow one gets only the newest."""

@@ -3,22 +3,26 @@
 import copy
 import dataclasses as dc
 import gc
+import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, System
 
 from geort_drake.errors import GeortError
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.hand import Hand
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.session import SessionReport, run_session
+from geort_drake.live.session import STEP_S, SessionReport, run_in_real_time, run_session
 from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl
-from geort_drake.live.web.operator_station import OperatorStation
+from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
+from geort_drake.live.web.watched_trial import make_watched_trial
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario
@@ -33,28 +37,47 @@ if TYPE_CHECKING:
 _PERIOD = 0.004
 
 
+@dc.dataclass(frozen=True)
+class Setup:
+    """A robot that the page operates.
+
+    Attributes:
+        about: facts for the pages.
+        scenarios: task → its scenario, the first task first; sessions vary the object.
+        description, model: description of the robot's hand, and model of the first scenario's robot.
+        retarget: the map with which every session begins.
+    """
+
+    about: RobotInfo
+    scenarios: Mapping[str, Scenario]
+    description: HandDescription
+    model: RobotModel
+    retarget: Retarget
+
+
 @dc.dataclass
 class WebTeleoperation:
     """Runs the sessions of one page, and holds what they share.
 
     Attributes:
-        scenarios: task → its scenario, the first task first; sessions vary the object.
-        description, model: description of the robot's hand, and model of the first scenario's robot.
-        retarget: the map with which every session begins.
+        setup: the robot.
+        choose: returns the robot with another hand and mount; raises GeortError if there is none.
         station, server, control: parts of the page's server.
         link: link to a real robot; None for the simulation.
         relax_after: see `Watchdog`, s.
     """
 
-    scenarios: Mapping[str, Scenario]
-    description: HandDescription
-    model: RobotModel
-    retarget: Retarget
+    setup: Setup
+    choose: Callable[[str, str], Setup]
     station: OperatorStation
     server: "WebServer"
     control: PageControl
     link: RobotLink | None = None
     relax_after: float = 5.0
+
+    def __post_init__(self) -> None:
+        self._scenes = self._watched = 0
+        self._prepared: dict[str, Any] = {}  # of the trials that are watched
 
     def run(
         self,
@@ -73,23 +96,13 @@ class WebTeleoperation:
             on_state: see `run_session`.
 
         Returns:
-            A report of all sessions together, and the last session's diagram.
+            A report of all sessions together, and the last diagram of teleoperation.
         """
         total = SessionReport(0.0, {}, 0)
         link, control = self.link, self.control
-        scenes = 0
-        before: tuple[str | None, str | None] | None = None
+        loop = self._teleoperation(timeout)
         while True:
-            scenes += 1
-            try:
-                loop = self._begin(scenes, timeout)
-            except GeortError as error:
-                if not before:
-                    raise
-                # Not every hand can do every task: returns to the last one.
-                (control.task, control.object), control.note = before, str(error)
-                loop = self._begin(scenes, timeout)
-            before = control.task, control.object
+            before = control.choice
             for _ in range(2):  # the first frees what keeps the rest of the last diagram alive
                 gc.collect()
             report = run_session(
@@ -107,23 +120,92 @@ class WebTeleoperation:
                 for name in total.states | report.states
             }
             total = SessionReport(total.duration + report.duration, states, total.late + report.late)
-            if stop() or not control.again:
-                return total, loop
             engaged = False
+            while control.again and not stop():
+                try:
+                    if not self.station.simulated_person:
+                        loop = self._teleoperation(timeout)
+                        break
+                    self._watch(stop)
+                    before = control.choice
+                except GeortError as error:
+                    # Not every hand can do every task: returns to the last one.
+                    control.choice, control.note = before, str(error)
+                    loop = self._teleoperation(timeout)
+                    break
+            else:
+                return total, loop
+
+    def _scenario(self) -> Scenario:
+        """Returns the chosen scenario, with a new object placement in every session."""
+        choice, about = self.control.choice, self.setup.about
+        wanted = choice.hand or about.hand, choice.mount or about.mount
+        if wanted != (about.hand, about.mount):
+            self.setup, self._prepared = self.choose(*wanted), {}
+            self.server.introduce(self.setup.about)
+        scenarios = self.setup.scenarios
+        scenario = copy.deepcopy(scenarios.get(choice.task or "", next(iter(scenarios.values()))))
+        if self.link is None:
+            task = find_task(scenario.task)
+            cases = task.cases()
+            task.choose(scenario, choice.object if choice.object in cases else task.case_of(scenario))
+        return scenario
 
     def _model(self, scenario: Scenario) -> RobotModel:
-        first = next(iter(self.scenarios))
-        return self.model if scenario.task == first else RobotModel(scenario, self.description)
+        setup, first = self.setup, next(iter(self.setup.scenarios))
+        return setup.model if scenario.task == first else RobotModel(scenario, setup.description)
 
-    def _begin(self, number: int, timeout: float) -> Teleoperation:
+    def _show(self, scene: Scene) -> None:
+        """Shows a new scene."""
+        self._scenes += 1
+        self.server.show(msgspec.json.encode({"scene": self._scenes, **scene.description}), scene.meshes)
+
+    def _facts(self, scenario: Scenario) -> dict[str, str | int]:
+        """Returns what recordings tell of a session."""
+        about, task = self.setup.about, find_task(scenario.task)
+        facts: dict[str, str | int] = {"robot": about.robot, "hand": self.setup.description.name}
+        if self.link is None:
+            facts |= {"task": task.name, "object": task.case_of(scenario), "seed": scenario.random_seed}
+        return facts
+
+    def _watch(self, stop: Callable[[], bool]) -> None:
+        """Runs the trial of a simulated person, and shows its end until the page asks for another session."""
+        control, scenario, setup = self.control, self._scenario(), self.setup
+        scenario.random_seed += self._watched
+        self._watched += 1
+        model = self._model(scenario)
+        trial = make_watched_trial(scenario, Hand(setup.description), setup.retarget, model, self._prepared)
+        parts = trial.parts
+        scene = Scene(parts.plant, parts.stage.scene.scene_graph.model_inspector(), setup.description)
+        self._show(scene)
+        simulator = Simulator(parts.diagram)
+        root = simulator.get_mutable_context()
+        parts.initialize(root)
+        control.begin(trial, None, self._scenes, self._facts(scenario))
+        poses = parts.plant.get_body_poses_output_port()
+        keypoints = parts.glove_recorder.GetInputPort("keypoints")
+        contexts = [system.GetMyContextFromRoot(root) for system in (parts.plant, parts.glove_recorder)]
+
+        def go_on() -> bool:
+            control.step(root, False)
+            p_HK = keypoints.Eval(contexts[1]).reshape(21, 3)
+            frame = scene.frame(root.get_time(), poses.Eval(contexts[0]), p_HK, setup.about.side)
+            self.server.publish(frame=frame)
+            return not (stop() or control.again or trial.outcome(root).over)
+
+        run_in_real_time(simulator, STEP_S, go_on)
+        while not (stop() or control.again):
+            control.step(root, False)
+            time.sleep(STEP_S)
+
+    def _teleoperation(self, timeout: float) -> Teleoperation:
         """Builds a session's diagram and shows its scene."""
-        control, description = self.control, self.description
-        scenario = copy.deepcopy(self.scenarios[control.task or next(iter(self.scenarios))])
-        task, model = find_task(scenario.task), self._model(scenario)
+        scenario, control = self._scenario(), self.control
+        description = self.setup.description
+        model = self._model(scenario)
         robot: SimulatedRobot | RobotLink
         if self.link is None:
-            task.choose(scenario, control.object or task.case_of(scenario))
-            scenario.random_seed += number - 1  # the object stands somewhere else
+            scenario.random_seed += self._scenes
             scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
             robot = SimulatedRobot(scenario, description, model)
             start = robot.hand.start, robot.arm.start
@@ -132,7 +214,7 @@ class WebTeleoperation:
             scene = Scene(shown.plant, inspector, description)
         else:
             robot, start = self.link, self.link.handshake(timeout)
-            standing = self.model.standing_at({})
+            standing = model.standing_at({})
             scene = Scene(standing.plant(), standing.scene_graph().model_inspector(), description)
 
         def add_view(builder: DiagramBuilder, robot: System) -> None:
@@ -161,7 +243,7 @@ class WebTeleoperation:
             scenario,
             description,
             model,
-            self.retarget,
+            self.setup.retarget,
             GloveStream(self.station, description.side),
             robot,
             start,
@@ -169,11 +251,8 @@ class WebTeleoperation:
             recorder,
             add_view,
         )
-        self.server.show(msgspec.json.encode({"scene": number, **scene.description}), scene.meshes)
-        facts: dict[str, str | int] = {"robot": self.station.about.robot, "hand": description.name}
-        if self.link is None:
-            facts |= {"task": task.name, "object": task.case_of(scenario), "seed": scenario.random_seed}
-        control.begin(loop, recorder, number, facts)
+        self._show(scene)
+        control.begin(loop, recorder, self._scenes, self._facts(scenario))
         return loop
 
 

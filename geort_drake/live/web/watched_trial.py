@@ -1,0 +1,88 @@
+"""The trial of a simulated person that the page shows where nobody has a camera."""
+
+import dataclasses as dc
+from typing import Any
+
+from pydrake.systems.framework import Context
+
+from geort_drake.hands.hand import Hand
+from geort_drake.live.teleoperation import phase_of
+from geort_drake.retargeting.base import Retarget
+from geort_drake.retargeting.train import training_recording
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.following import RobotModel
+from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
+from geort_drake.simulation.judge import Outcome
+from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.tasks import find_task
+
+
+@dc.dataclass(frozen=True)
+class WatchedTrial:
+    """A trial of `geort-drake grasp` as a page's session; read in the same way as a `Teleoperation`.
+
+    Attributes:
+        parts: diagram of the trial.
+        timeout: longest duration, s.
+    """
+
+    parts: TrialDiagram
+    timeout: float
+    simulated_person = True
+    late = 0
+
+    def outcome(self, root: Context) -> Outcome:
+        """Returns the task's outcome so far; a trial that takes too long is over."""
+        outcome = self.parts.stage.outcome(root)
+        return outcome.having(over=outcome.over or root.get_time() >= self.timeout)
+
+    def restart(self, root: Context) -> None:
+        """Does nothing, as a trial begins when its diagram does."""
+
+    def phase(self, root: Context) -> str:
+        """Returns the name of the task's present state."""
+        return phase_of(self.parts.stage, root)
+
+    def following(self, root: Context) -> bool:
+        """Whether the robot follows the person."""
+        return True
+
+    def state(self, root: Context) -> str:
+        """Returns what is shown as the state of the fingers."""
+        return "a simulated person works"
+
+    def delay(self, newest: int) -> dict[str, Any]:
+        """Returns no figures, as nothing arrives from outside."""
+        return {"count": 0, "median": None, "p99": None}
+
+
+def make_watched_trial(
+    scenario: Scenario, hand: Hand, retarget: Retarget, model: RobotModel, prepared: dict[str, Any]
+) -> WatchedTrial:
+    """Builds the trial that `geort-drake grasp` would simulate for this scenario and map.
+
+    Planning and the person's practice take half a minute the first time.
+
+    Args:
+        scenario: with its object and seed.
+        hand: the robot's hand.
+        retarget: a method or map.
+        model: model of the scenario's robot.
+        prepared: plans, hand and practice of earlier trials with this hand and map; gets those of this one.
+
+    Raises:
+        ScenarioError: the hand cannot do the task.
+    """
+    task = find_task(scenario.task)
+    if (name := f"{task.name} {task.case_of(scenario)}") not in prepared:
+        prepared[name] = task.plans(scenario, hand.description)
+    if "person" not in prepared:
+        recording = training_recording(None, hand.description.side, 0)
+        prepared["person"] = person = persons_hand(scenario, recording)
+        prepared["practice"] = practise(scenario, retarget, hand, person)
+    plans, (adapted, seen) = prepared[name], prepared["practice"]
+    if callable(reset := getattr(adapted, "reset", None)):
+        reset()  # methods with a memory forget the previous trial
+    goal, _ = keep_reached(plans, seen)
+    parts = make_trial_diagram(scenario, adapted, (prepared["person"], goal), model=model)
+    return WatchedTrial(parts, scenario.timeout)
