@@ -339,3 +339,15 @@ def test_the_site_builds_and_asks_no_other_host(tmp_path):
         fetched = re.findall(r'<(?:script|img|iframe)[^>]+src="?(https?:)?//', text)
         fetched += re.findall(r'<link[^>]+rel="?(?:stylesheet|preload)[^>]+href="?(https?:)?//', text)
         assert not fetched, page
+
+
+@pytest.mark.slow
+def test_the_tutorial_runs_as_a_notebook(tmp_path):
+    """In an empty folder, and thus with a synthetic recording."""
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    notebook = nbformat.read(ROOT / "docs" / "tutorials" / "webcam-to-grasp.ipynb", 4)
+    here = {"metadata": {"path": tmp_path}}
+    nbclient.NotebookClient(notebook, timeout=1800, resources=here).execute()
+    (trial,) = json.loads((tmp_path / "runs/tutorial/results.json").read_text("utf-8"))["trials"]
+    assert trial["object"] == "cylinder"

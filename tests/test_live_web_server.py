@@ -341,9 +341,11 @@ async def _drive(address: str) -> set[int]:
         await send_until(lambda: state["scene"] == 3, {"type": "stop"}, {"type": "reset", "task": "keys"})
         assert (state["task"], state["object"], state["outcome"]["phase"]) == ("keys", "keys", "none")
         assert not state["engaged"] and state["recording"] is None
-        await send_until(
-            lambda: state["scene"] == 4, {"type": "reset", "hand": "leap_right", "mount": "floating"}
+        await send_until(lambda: state["scene"] == 4, {"type": "reset", "mount": "floating"})
+        assert (
+            robot["mount"] == "floating"
+            and robot["hands"] == []
+            and (state["task"], state["object"]) == ("grasp", "cylinder")
         )
-        assert robot["hand"] == "leap_right" and (state["task"], state["object"]) == ("grasp", "cylinder")
         reader.cancel()
     return scenes
