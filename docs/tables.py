@@ -190,16 +190,69 @@ def objects_table() -> str:
 
 
 def hands_table() -> str:
-    """A Markdown table of the shipped hands."""
+    """A Markdown table of the hands whose models come with the package."""
     from geort_drake.hands.hand import Hand
 
     rows = ["| name | joints | mass | tip radius | stiffness | torque limit |", "|---|---|---|---|---|---|"]
-    for path in sorted((ROOT / "models" / "hands").glob("*.yaml")):
-        hand = Hand(path.stem)
+    for name, description in _hands():
+        if description.source.get:
+            continue
+        hand = Hand(description)
         motor = hand.plant.get_joint_actuator(hand.plant.GetJointActuatorIndices()[0])
         mass = hand.plant.CalcTotalMass(hand.plant.CreateDefaultContext())
         rows.append(
-            f"| `{path.stem}` | {len(hand.joint_names)} | {mass:.3f} kg | {1e3 * hand.tip_radius:.3g} mm "
+            f"| `{name}` | {len(hand.joint_names)} | {mass:.3f} kg | {1e3 * hand.tip_radius:.3g} mm "
             f"| {motor.get_controller_gains().p:g} N·m/rad | {motor.effort_limit():g} N·m |"
         )
     return "\n".join(rows)
+
+
+def named_hands_table() -> str:
+    """A Markdown table of the hands by name and of their models."""
+    columns = ("name", "hand", "fingers, joints of q", "model", "licence", "command that gets it")
+    rows = [f"| {' | '.join(columns)} |", "|---|---|---|---|---|---|"]
+    for name, hand in _hands():
+        comments = (ROOT / "models" / "hands" / f"{name}.yaml").read_text("utf-8").splitlines()
+        title = comments[0].lstrip("# ").split(" Fields:")[0].rstrip(".")
+        source = hand.source
+        published = (source.published, source.licence, f"`{source.get}`") if source.get else ("own", "", "")
+        rows.append(
+            f"| `{name}` | {title} | {len(hand.fingers)}, {len(hand.joint_names)} | {' | '.join(published)} |"
+        )
+    return "\n".join(rows)
+
+
+def hand_figures_table() -> str:
+    """A Markdown table of the figures of the shipped maps, of people in no training."""
+    from geort_drake.retargeting.store import load_retargeter, shipped_maps
+
+    columns = (
+        "motion", "steps", "gain p95/p5", "closed", "too deep", "false", "collision", "cross-talk",
+        "posture", "p90",
+    )  # fmt: skip
+    rows = [f"| name | steps of training | {' | '.join(columns)} |", "|---|" + "---|" * (len(columns) + 1)]
+    for name in shipped_maps():
+        info = load_retargeter(name).info
+        if "unseen_people" not in info:
+            continue
+        texts = []
+        for column in columns:
+            value = info["unseen_people"][column]
+            if column in ("closed", "too deep", "false", "collision"):
+                texts.append(f"{100 * value:.1f} %")
+            elif column in ("posture", "p90"):
+                texts.append(f"{value:.0f}°")
+            else:
+                texts.append(f"{value:.1f}" if column.startswith("gain") else f"{value:.3f}")
+        first, config = info["first_config"], info["config"]
+        steps = f"{first['steps']:,} + {config['steps']:,}"
+        rows.append(f"| `{name}` | {steps} | {' | '.join(texts)} |")
+    return "\n".join(rows)
+
+
+def _hands() -> list:
+    """The hands by name, each with its description."""
+    from geort_drake.hands.description import load_hand
+    from geort_drake.resources import hand_names
+
+    return [(name, load_hand(name)) for name in hand_names()]

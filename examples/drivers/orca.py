@@ -1,4 +1,4 @@
-"""Drives an ORCA hand from `geort-drake live --hand orca.yaml --robot zmq+tcp://127.0.0.1:5557`.
+"""Drives an ORCA hand from `geort-drake live --hand orca_right --robot zmq+tcp://127.0.0.1:5557`.
 
     pip install orca_core pyzmq
     python orca.py --model orca_core/models/v2/orcahand-right/config.yaml --prefix right_

@@ -1,10 +1,10 @@
-"""Drives a Wuji hand from `geort-drake live --hand wuji.yaml --robot zmq+tcp://127.0.0.1:5557`.
+"""Drives a Wuji hand from `geort-drake live --hand wuji_right --robot zmq+tcp://127.0.0.1:5557`.
 
     pip install wujihandpy pyzmq
     python wuji.py --side right
 
-The vendor's model calls the thumb's joints right_finger1_joint1 to right_finger1_joint4; describe it with
-`geort-drake hand add`. The hand's own limits hold. Ctrl-C disables the motors.
+The vendor's model calls the thumb's joints right_finger1_joint1 to right_finger1_joint4; `geort-drake hand
+list` says how to get it. The hand's own limits hold. Ctrl-C disables the motors.
 """
 
 import argparse

@@ -5,7 +5,7 @@ import time
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from tyro.conf import UseAppendAction, arg
 
@@ -154,7 +154,8 @@ class Train(Command):
         for name in outputs.keys() - unfinished.keys():
             say(f"{outputs[name]} exists")
         p_HK = sample_population(settings.people, self.seed, settings.play_s) if unfinished else None
-        figures, written = {}, {}
+        figures: dict[str, dict[str, float]] = {}
+        written: dict[str, Path] = {}
         for name, path in unfinished.items():
             figures[name], paths = self._train_map(name, path, settings, p_HK, start)
             written |= paths
@@ -200,8 +201,9 @@ class Train(Command):
         if start is None:
             if not first.is_file():
                 train(settings, None, "training", output.with_suffix(".state")).save(first)
-            start, settings = load_retargeter(first), settings.refined()
+            start, settings = cast("UniversalRetargeter", load_retargeter(first)), settings.refined()
         retargeter = train(settings, start, "refinement", output.with_suffix(".refined.state"))
+        retargeter.info = {**retargeter.info, "first_config": start.info.get("config")}
         written = {f"Map for {hand.description.name}": _save_universal(retargeter, hand, output)}
         first.unlink(missing_ok=True)
         if (other := _other_side(hand)) is not None:

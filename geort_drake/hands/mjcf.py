@@ -233,9 +233,12 @@ class _Builder:
         first, count = m.mesh_vertadr[mesh], m.mesh_vertnum[mesh]
         vertices = m.mesh_vert[first : first + count]
         first, count = m.mesh_faceadr[mesh], m.mesh_facenum[mesh]
-        faces = m.mesh_face[first : first + count] + 1
+        faces = np.stack([m.mesh_face, m.mesh_facenormal], -1)[first : first + count] + 1
+        first, count = m.mesh_normaladr[mesh], m.mesh_normalnum[mesh]
+        normals = m.mesh_normal[first : first + count]  # Drake's renderers refuse a mesh without
         text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices)
-        text += "".join(f"f {a} {b} {c}\n" for a, b, c in faces)
+        text += "".join(f"vn {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in normals)
+        text += "".join("f " + " ".join(f"{v}//{n}" for v, n in face) + "\n" for face in faces)
         return Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", m.mesh(mesh).name)))
 
     def _hull(self, geom: int) -> Convex:

@@ -88,7 +88,7 @@ def _candidates(place: str) -> Iterator[Path]:
     for folder in filter(None, os.environ.get(MODEL_FOLDERS, "").split(os.pathsep)):
         for name in (package, package.replace("_", "-"), "."):
             yield Path(folder) / name / file
-    spec = importlib.util.find_spec(package)
+    spec = importlib.util.find_spec(package) if package.isidentifier() else None
     if spec is None:
         return
     for folder in spec.submodule_search_locations or ():
