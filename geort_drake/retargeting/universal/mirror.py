@@ -63,10 +63,10 @@ def match_joints(hand: HandKinematics, mirrored: HandKinematics) -> tuple[np.nda
         rows[theirs] = joints
         signs[theirs] = np.where((axes[joints] * others[theirs]).sum(-1) < 0, -1.0, 1.0)
     fractions = np.random.default_rng(0).uniform(size=(100, len(rows)))
-    theirs = np.where(signs > 0, fractions[:, rows], 1.0 - fractions[:, rows])
+    mirrored_fractions = np.where(signs > 0, fractions[:, rows], 1.0 - fractions[:, rows])
     tips, mirrored_tips = (
         NumpyKinematics(each).fingertips(each.lower + part * (each.upper - each.lower))
-        for each, part in ((hand, fractions), (mirrored, theirs))
+        for each, part in ((hand, fractions), (mirrored, mirrored_fractions))
     )
     far = np.linalg.norm(tips - mirrored_tips, axis=-1).max()
     return (rows, signs) if far <= MIRROR_TOLERANCE_M else None
