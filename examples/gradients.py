@@ -57,6 +57,6 @@ target = positions(start + 0.005)
 program = MathematicalProgram()
 p_HF = program.NewContinuousVariables(12, "p_HF")
 program.AddCost(lambda p: ((positions(p) - target) ** 2).sum(), vars=p_HF)
-program.AddBoundingBoxConstraint(start - 0.03, start + 0.03, p_HF)  # the map refuses what is no hand
+program.AddBoundingBoxConstraint(start - 0.03, start + 0.03, p_HF)  # the map refuses other points
 result = Solve(program, start)
 error = np.abs(positions(result.GetSolution(p_HF)) - target).max()  # rad

@@ -38,7 +38,7 @@ STYLE: Any = {
 }
 WIDTH = 7.0  # inches, the text width of a page
 _MEANING = """\
-Intervals are of 95 %, for a population of objects and people of which these are samples.
+Intervals are 95 % intervals, for a population of objects and people of which these are samples.
 
 - *First attempt*: success without a second attempt. *Score*: degree of success.
 - *Time*: mean time to success; failures count as the timeout.

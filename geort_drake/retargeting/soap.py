@@ -1,6 +1,6 @@
 """SOAP: Adam in the eigenbasis of Shampoo's preconditioner (Vyas et al. 2024, arXiv 2409.11321).
 
-Small networks need about a third of Adam's steps. The layers of all fingers are stacked along a first axis;
+Small networks need fewer steps than with Adam. The layers of all fingers are stacked along a first axis;
 each finger's matrix has its own bases.
 """
 
