@@ -12,9 +12,9 @@ from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting import METHODS, find_method
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.retargeting.kinematics import fingertips
-from geort_drake.retargeting.linear import SCALE, LinearConfig
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.online import AnyTeleop, DexPilot
+from geort_drake.retargeting.telekinesis import SCALE, TelekinesisConfig
 
 P_BW = np.array([0.0, 0.0, -0.095])  # of the Allegro: the palm's foot, as dex-retargeting has it
 
@@ -155,7 +155,7 @@ def test_telekinesis_learns_the_scaled_hand(training_seed, reaches):
     hand = replace(toy_kinematics(), p_BW=P_BW)
     robot = toy_human(hand, 1500, seed=4) / 0.8 - np.array([0.0, 0.0, 0.05]) / 0.8  # the robot's own tips
     p_HF = (robot - P_BW) / SCALE
-    rows, config = [], LinearConfig(steps=600, points=128, hidden=48)
+    rows, config = [], TelekinesisConfig(steps=600, points=128, hidden=48)
     retarget = METHODS["telekinesis"].fit(
         hand, p_HF, seed=training_seed, config=config, report=lambda *row: rows.append(row)
     )

@@ -63,7 +63,9 @@ METHODS = {
         "Algorithm 1 of the paper: a network per finger, five criteria", "geort:fit", "geort:GeortConfig"
     ),
     "telekinesis": Method(
-        "Eq. 1 of the paper, learned offline (Robotic Telekinesis)", "linear:fit", "linear:LinearConfig"
+        "Eq. 1 of the paper, learned offline (Robotic Telekinesis)",
+        "telekinesis:fit",
+        "telekinesis:TelekinesisConfig",
     ),
     "universal": Method("one map for every person, shipped for the hand", "store:fit"),
     "affine_ik": Method("an affine map of each fingertip, and inverse kinematics", "affine_ik:AffineIK.fit"),

@@ -23,7 +23,7 @@ LENGTH_UNIT = 0.1  # m; unit of the vectors in the loss
 
 
 @dataclass(frozen=True)
-class LinearConfig:
+class TelekinesisConfig:
     """Settings of `telekinesis`."""
 
     steps: int = 5000
@@ -36,7 +36,7 @@ def fit(
     hand: Any,
     p_HF: np.ndarray,
     seed: int = 0,
-    config: LinearConfig | None = None,
+    config: TelekinesisConfig | None = None,
     device: str = "cpu",
     report: Report | None = None,
 ) -> MlpRetargeter:
@@ -44,7 +44,7 @@ def fit(
 
     v are vectors from the wrist to the fingertips, in 0.1 m. See `Method.fit`.
     """
-    config, kinematics, dev = config or LinearConfig(), kinematics_of(hand), device_of(device)
+    config, kinematics, dev = config or TelekinesisConfig(), kinematics_of(hand), device_of(device)
     generator = torch.Generator().manual_seed(seed)
     human = [voxel_thinned(p_HF[:, i], HUMAN_VOXEL) for i in range(p_HF.shape[1])]
     clouds = [torch.tensor(cloud, dtype=torch.float32, device=dev) for cloud in human]
