@@ -307,8 +307,8 @@ def _plans(scenarios: "Sequence[Scenario]", hand: "Hand") -> "dict[str, list[Goa
             refused.append(error)
     if not plans:
         raise refused[0]
-    for error in refused:
-        warn(f"left out: {error}")
+    for reason in refused:
+        warn(f"left out: {reason}")
     return plans
 
 
