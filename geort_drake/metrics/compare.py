@@ -248,21 +248,19 @@ def summary(rows: Sequence[Row]) -> pd.DataFrame:
     frame = frame.dropna(subset=["metric", "value"]).astype({"value": float, "weight": float})
     result = []
     for key, group in frame.groupby(_KEYS, sort=False):
-        metric, seeds = key[2], []
-        for _, part in group.groupby("seed"):
-            counted = metric.endswith(".frames")
-            seeds.append(
-                part["value"].sum() if counted else np.average(part["value"], weights=part["weight"])
-            )
-        several = group["part"].nunique() > 1, len(seeds) > 1
-        result.append(
-            [*key, np.mean(seeds)]
-            + [
-                worst(metric, values) if wanted else np.nan
-                for wanted, values in zip(several, (group["value"], seeds), strict=True)
-            ]
-        )
+        metric = key[2]
+        means = [_mean_of_parts(metric, parts) for _, parts in group.groupby("seed")]
+        worst_part = worst(metric, group["value"]) if group["part"].nunique() > 1 else np.nan
+        worst_seed = worst(metric, means) if len(means) > 1 else np.nan
+        result.append([*key, np.mean(means), worst_part, worst_seed])
     return pd.DataFrame(result, columns=[*_KEYS, "mean", "worst_part", "worst_seed"])
+
+
+def _mean_of_parts(metric: str, parts: pd.DataFrame) -> float:
+    """Returns the mean over parts, which count by their weight; the sum of a number of frames."""
+    if metric.endswith(".frames"):
+        return float(parts["value"].sum())
+    return float(np.average(parts["value"], weights=parts["weight"]))
 
 
 def worst(metric: str, values: Sequence[float]) -> float:
