@@ -10,8 +10,6 @@ from joblib import Parallel, delayed, parallel_config, register_parallel_backend
 from geort_drake.errors import BenchmarkError, GeortError
 from geort_drake.processes import end_with
 
-BACKENDS = ("loky", "ray")
-
 
 def call_in_workers(
     function: Callable, arguments: Iterable[tuple], jobs: int, backend: str = "loky", ordered: bool = False
