@@ -2,12 +2,23 @@
 
 import dataclasses as dc
 import hashlib
+import importlib
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, attempt, centred_map, outcome_of, person_who_plays, plans, reach_goal
+from grasp_setup import (
+    allegro,
+    attempt,
+    centred_map,
+    outcome_of,
+    person_who_plays,
+    planned_goal,
+    plans,
+    reach_goal,
+    scenario_with,
+)
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -298,3 +309,11 @@ def test_tasks_are_modules_and_say_what_is_wrong():
             load_scenario(task="keys", text=text)
     with pytest.raises(ScenarioError, match="peg has no settings"):
         load_scenario(task="peg", text="{task_settings: {presses: 3}}")
+
+
+def test_every_task_has_a_scripted_robot_and_that_of_the_grasp_holds_the_object(monkeypatch):
+    """Without a person, by its own plan: `studies/gates.py` runs it before the people."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "studies")
+    robots = {name: importlib.import_module(f"scripted.{name}") for name in task_names()}
+    assert all(callable(robot.plans) and callable(robot.scripted) for robot in robots.values())
+    assert robots["grasp"].scripted(scenario_with("cylinder"), planned_goal("cylinder"), 0) == 1.0

@@ -1,11 +1,10 @@
 """The scripted robot of the grasp."""
 
-from plans import script
-
 from geort_drake.simulation.operators.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.trial import run_trial
-from scripted.pick_place import oracle, plans
+from scripted.oracle import oracle, script
+from scripted.pick_place import plans
 
 __all__ = ["plans", "scripted"]
 

@@ -1,7 +1,6 @@
 """The scripted robot of the peg."""
 
 import numpy as np
-from plans import HOLDING, Oracle, script
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.analysis import Simulator
 
@@ -12,7 +11,8 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import peg
 from geort_drake.simulation.trial import run_trial
 from geort_drake.systems.port_values import vector_to_pose
-from scripted.pick_place import oracle, plans
+from scripted.oracle import HOLDING, Oracle, oracle, script
+from scripted.pick_place import plans
 
 __all__ = ["plans", "scripted"]
 
