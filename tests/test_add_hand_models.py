@@ -10,7 +10,7 @@ import pytest
 import torch
 import trimesh
 from hand_family import HandSpec, write_hand
-from pydrake.geometry import Role
+from pydrake.geometry import MakeRenderEngineVtk, Mesh, RenderEngineVtkParams, Role
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
@@ -161,6 +161,21 @@ def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
     assert len(hand.plant.GetCollisionGeometriesForBody(hand.plant.GetBodyByName("palm"))) == 1
     bounds = [CORNERS.min(axis=0), CORNERS.max(axis=0)]
     np.testing.assert_allclose(reach(hand, "palm", Role.kProximity), bounds, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["urdf", "xml"])
+def test_meshes_get_the_normals_that_drakes_renderers_require(kind, tmp_path):
+    """STL has none; a diagram with a camera would refuse the hand."""
+    model = _with_mesh(tmp_path, kind, "palm.stl")
+    if kind == "urdf":
+        model.write_text(model.read_text().replace("collision", "visual"))
+        model = convert_model(model, tmp_path / "copy", [])
+    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
+    scene_graph.AddRenderer("vtk", MakeRenderEngineVtk(RenderEngineVtkParams()))
+    parse_model(plant, model, "model")
+    inspector = scene_graph.model_inspector()
+    shapes = [inspector.GetShape(id) for id in inspector.GetAllGeometryIds(Role.kIllustration)]
+    assert any(isinstance(shape, Mesh) for shape in shapes)
 
 
 def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):

@@ -64,7 +64,7 @@ def convert_model(model: Path, folder: Path, notes: list[str]) -> Path:
             stem = re.sub(r"\W+", "_", mesh.stem)
             names[mesh] = folder.resolve() / f"{len(names)}_{stem}.obj"
             text = export_obj(
-                hull, include_normals=False, include_color=False, include_texture=False, digits=9, header=None
+                hull, include_normals=True, include_color=False, include_texture=False, digits=9, header=None
             )
             write_text(draft / names[mesh].name, text)
         write_text(draft / model.name, _text_of(tree, model, folder, names))
