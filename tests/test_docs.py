@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import os
 import re
 import shlex
 import shutil
@@ -342,11 +343,12 @@ def test_the_site_builds_and_asks_no_other_host(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_tutorial_runs_as_a_notebook(tmp_path):
-    """In an empty folder, and thus with a synthetic recording."""
+def test_the_tutorial_runs_as_a_notebook(tmp_path, monkeypatch):
+    """In an empty folder, and thus with a synthetic recording; the environment is activated."""
     nbformat = pytest.importorskip("nbformat")
     nbclient = pytest.importorskip("nbclient")
     notebook = nbformat.read(ROOT / "docs" / "tutorials" / "webcam-to-grasp.ipynb", 4)
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
     here = {"metadata": {"path": tmp_path}}
     nbclient.NotebookClient(notebook, timeout=1800, resources=here).execute()
     (trial,) = json.loads((tmp_path / "runs/tutorial/results.json").read_text("utf-8"))["trials"]
