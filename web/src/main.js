@@ -86,9 +86,9 @@ function receiveWelcome(welcome) {
   const before = model.welcome;
   Object.assign(model, { connected: before !== null, welcome });
   showChoices(welcome);
-  // Another robot may have the other side, so whoever moves it is asked anew.
-  const dropped = before?.role === "operator" && welcome.role === "spectator";
-  if (!before || dropped) hello();
+  // Another robot may have the other side, so whoever moved the last one is asked anew.
+  const another = before && ["hand", "side", "mount"].some((name) => before[name] !== welcome[name]);
+  if (!before || (another && before.role === "operator" && welcome.role === "spectator")) hello();
 }
 
 function receiveRefusal({ text }) {
