@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geort_drake.retargeting.base import Retarget, Retargeter
+from geort_drake.retargeting.base import Retarget, Retargeter, forget
 
 RIPPLE_LENGTH = 0.008  # m
 # Distances of thumb and finger at which they pinch fully, and not at all, m.
@@ -123,8 +123,7 @@ class DistortedMap(Retargeter):
 
     def reset(self) -> None:
         """Forgets earlier frames, if the map remembers them."""
-        if callable(reset := getattr(self._retarget, "reset", None)):
-            reset()
+        forget(self._retarget)
 
     def settled_map(self, frames: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
         """The answers to hands (N, F, 3) that are held still, see `AnyTeleop.settled_map`."""

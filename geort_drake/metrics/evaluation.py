@@ -29,6 +29,7 @@ from geort_drake.metrics.metrics import (
 )
 from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import Recording
+from geort_drake.retargeting.base import forget
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.universal import UniversalRetargeter
 
@@ -226,7 +227,7 @@ def jitter(
     noise are p_BF (T, F, 3). Both noises are root mean squares.
     """
     noise = rng.normal(scale=NOISE, size=frames.shape)
-    _reset(retarget)
+    forget(retarget)
     moved_by = fingertips(_in_chunks(retarget, frames + noise)) - p_BF
     output, source = (np.sqrt((x**2).sum(axis=-1).mean(axis=0)) for x in (moved_by, noise))
     return float((output / source).mean())
@@ -243,19 +244,13 @@ def engagement(
     """
     jumps, settled = [], []
     for row in np.linspace(0, len(frames) - 1, ENGAGEMENTS).astype(int):
-        _reset(retarget)
+        forget(retarget)
         outputs = [retarget(frames[row]) for _ in range(1 + round(rate_hz))]
         first, last = fingertips(np.stack([outputs[0], outputs[-1]]))
         jumps.append(np.linalg.norm(first - start, axis=-1).mean())
         settled.append(np.linalg.norm(last - first, axis=-1).mean())
-    _reset(retarget)
+    forget(retarget)
     return {"jump_mm": float(1000 * np.mean(jumps)), "settling_mm": float(1000 * np.mean(settled))}
-
-
-def _reset(retarget: Callable) -> None:
-    """Lets a retargeter with a memory forget earlier frames."""
-    if callable(reset := getattr(retarget, "reset", None)):
-        reset()
 
 
 def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.ndarray:

@@ -189,6 +189,12 @@ class Retargeter(ABC):
         return p_HF
 
 
+def forget(retarget: Any) -> None:
+    """Makes a method with a memory start anew, by its own `reset`; others are left alone."""
+    if callable(reset := getattr(retarget, "reset", None)):
+        reset()
+
+
 def kinematics_of(hand: Any) -> Any:
     """Returns the `HandKinematics` of a hand model, mirrored for a left hand, or `hand` if it is one."""
     if not hasattr(hand, "description"):

@@ -13,6 +13,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.people.synthetic.population import sample_person
+from geort_drake.retargeting.base import forget
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.operators.goal import Goal, Intended
 from geort_drake.simulation.operators.perception import FreePlay
@@ -40,8 +41,7 @@ def seen_fingertips(
         retarget: the method; for a universal map, the result of `after_play`.
         latency: latency of the method, s; if it exceeds the time between frames, the method gets fewer.
     """
-    if callable(reset := getattr(retarget, "reset", None)):
-        reset()
+    forget(retarget)
     frames = _frames(person)
     stride = max(1, math.ceil(latency * RATE))
     frames = frames[::stride]

@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context
 from geort_drake.files import atomic_path
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
-from geort_drake.retargeting.base import Retarget
+from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.judge import Outcome
@@ -46,9 +46,7 @@ def run_trial(
     """
     started = time.perf_counter()
     gc.collect()  # the previous trial's diagram, which is part of reference cycles
-    # Methods with a memory forget the previous trial.
-    if callable(reset := getattr(retarget, "reset", None)):
-        reset()
+    forget(retarget)
     properties = {**(properties or {}), "seed": scenario.random_seed}
     parts = make_trial_diagram(scenario, retarget, human, rerun_path, properties, model)
     simulator = Simulator(parts.diagram)

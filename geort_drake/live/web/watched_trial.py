@@ -7,7 +7,7 @@ from pydrake.systems.framework import Context
 
 from geort_drake.hands.hand import Hand
 from geort_drake.live.teleoperation import phase_of
-from geort_drake.retargeting.base import Retarget
+from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.following import RobotModel
@@ -81,8 +81,7 @@ def make_watched_trial(
         prepared["person"] = person = persons_hand(scenario, recording)
         prepared["practice"] = practise(scenario, retarget, hand, person)
     plans, (adapted, seen) = prepared[name], prepared["practice"]
-    if callable(reset := getattr(adapted, "reset", None)):
-        reset()  # methods with a memory forget the previous trial
+    forget(adapted)
     goal, _ = keep_reached(plans, seen)
     parts = make_trial_diagram(scenario, adapted, (prepared["person"], goal), model=model)
     return WatchedTrial(parts, scenario.timeout)
