@@ -14,6 +14,7 @@ import os
 import re
 import tokenize
 from pathlib import Path
+from unittest import mock
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "geort_drake"
@@ -112,8 +113,8 @@ def commands() -> list[tuple[str, str, str]]:
     """Name, summary and help of every subcommand, in the order of `geort-drake --help`."""
     from geort_drake.cli import COMMANDS, description_of, help_of
 
-    os.environ["COLUMNS"] = "100"  # the width of the help
-    return [(name, description_of(name).splitlines()[0], help_of(name)) for name in COMMANDS]
+    with mock.patch.dict(os.environ, COLUMNS="100"):  # the width of the help
+        return [(name, description_of(name).splitlines()[0], help_of(name)) for name in COMMANDS]
 
 
 def protocol_table() -> str:

@@ -154,9 +154,9 @@ CHECKS = {
 def test_a_snippet_runs(page, number, desk, play, monkeypatch):
     """Every Python snippet runs as it stands, in a folder with the files it names, and some are checked."""
     monkeypatch.chdir(desk)
-    given = GIVEN.get((page.name, number), dict)()
     code = compile(fences(page, "python")[number], f"{page.name}, snippet {number}", "exec")
-    with mock.patch.dict(FORMATS):  # formats that it registers are removed again
+    with mock.patch.dict(FORMATS):  # formats that snippets register are removed again
+        given = GIVEN.get((page.name, number), dict)()
         exec(code, given)
     CHECKS.get((page.name, number), lambda *_: None)(given, play)
     if "recorder" in given:
