@@ -23,8 +23,8 @@ class OwnMethod:
 
     The file defines `make(hand)`, which takes the `Hand` and returns a function from keypoints p_HK
     (21, 3) of a right hand, m in H, to joint angles (n,), rad, in the order of `hand.joint_names`. `make` is
-    called for each trial, so the function may remember earlier frames. Unusable outputs become NaN, which
-    `RetargetingSystem` does not follow; angles outside the limits are clamped to them.
+    called for each trial, with the same `Hand`, so the function may remember earlier frames. Unusable outputs
+    become NaN, which `RetargetingSystem` does not follow; angles outside the limits are clamped to them.
 
     Attributes:
         finger_names, joint_names, lower, upper: fingers and joints of the hand, and the joints' limits, rad.
@@ -34,7 +34,7 @@ class OwnMethod:
     def __init__(self, path: Path, description: HandDescription | str):
         """`description` is the hand's, or its name or file."""
         self._path, self._description = path, description
-        hand = Hand(description)
+        self._hand = hand = Hand(description)
         self.finger_names, self.joint_names = hand.finger_names, hand.joint_names
         self.lower, self.upper = hand.lower, hand.upper
         self.reset()
@@ -96,7 +96,7 @@ class OwnMethod:
             make = getattr(_load(self._path), "make", None)
             if not callable(make):
                 raise MethodError(f"{self._path}: the file must define a function make(hand)")
-            retarget = make(Hand(self._description))
+            retarget = make(self._hand)
             if not callable(retarget):
                 raise MethodError(
                     f"{self._path}: make(hand) must return a function; it returned {retarget!r}"
