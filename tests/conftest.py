@@ -1,5 +1,6 @@
 """Fixtures shared by the tests: seeded generators, and real recordings where they are at hand."""
 
+import dataclasses
 import functools
 import gc
 import shutil
@@ -80,16 +81,18 @@ def play():
 
 @pytest.fixture(scope="module")
 def light_benchmark(play):
-    """Benchmarks have a minute of play, few measured calls, and little free play."""
+    """Benchmarks and grasps have a minute of play, few measured calls, and little free play."""
     from geort_drake import methods
-    from geort_drake.benchmark import run
+    from geort_drake.retargeting import train
     from geort_drake.simulation import free_play
 
-    read = run.training_recording
+    def shorter(seed: int, side: str):
+        return dataclasses.replace(play, metadata=play.metadata | {"seed": seed, "side": side})
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(free_play, "DURATION", 2.0)
         patch.setattr(methods, "_PARTS", 1)
-        patch.setattr(run, "training_recording", lambda path, *rest: read(path, *rest) if path else play)
+        patch.setattr(train, "synthesize_play", shorter)
         yield
 
 
