@@ -8,7 +8,7 @@ import pytest
 import yaml
 from grasp_setup import TOO_SHORT, human_with, judged, plan_once, planned_goal, reach_goal
 
-from geort_drake import load_scenario, make_trial_diagram, run_trial
+from geort_drake import load_hand, load_scenario, make_trial_diagram, run_trial
 from geort_drake.benchmark import run as benchmark_run
 from geort_drake.benchmark import trials
 from geort_drake.benchmark.log import TrialKey, key_of, read_rows
@@ -17,6 +17,7 @@ from geort_drake.cli import main, run_command
 from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError, UsageError
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.universal import UniversalRetargeter
+from geort_drake.simulation.following import robot_model
 from geort_drake.simulation.plan.grasp import GraspPlanner
 
 pytestmark = pytest.mark.usefixtures("light_benchmark")
@@ -294,7 +295,11 @@ def test_trained_methods_are_trained_several_times_and_others_once(tmp_path, mon
 def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, monkeypatch):
     """It is in the settings and in the scenario of its trials, which share a model of the robot."""
     used = []
-    monkeypatch.setattr(trials, "run_trial", lambda s, *_, model: used.append((s.retargeting.latency, model)))
+
+    def use(scenario, *_):
+        used.append((scenario.retargeting.latency, robot_model(scenario, load_hand(scenario.hand))))
+
+    monkeypatch.setattr(trials, "run_trial", use)
     stored = {}
     for name, zero in (("measured", False), ("zero", True)):
         settings = Settings(zero_latency=zero)

@@ -1,6 +1,5 @@
 """Plans and simulates the trials of a benchmark; workers load this module, so it imports no training."""
 
-import dataclasses as dc
 import logging
 import os
 import traceback
@@ -13,7 +12,6 @@ from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
-from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.scenario import Scenario, parse_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import run_trial
@@ -70,7 +68,6 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Row:
             trial.human,
             rerun_path,
             {"method": key.method},
-            model=_robot_model(scenario),
         )
     except Exception as error:
         return error_row(key, f"{type(error).__name__}: {error}", traceback.format_exc())
@@ -83,23 +80,6 @@ def simulate(trial: Trial, rerun_path: str | os.PathLike | None = None) -> Row:
 def error_row(key: TrialKey, error: str, trace: str = "") -> Row:
     """Returns the row of a trial that could not be simulated."""
     return {**key._asdict(), "error": error, "traceback": trace}
-
-
-# Fields of a scenario that determine its robot; and the robot of this worker's last trial.
-_ROBOT_FIELDS = "plant_config", "directives", "hand_parent", "arm_posture", "left_arm_posture"
-_last: dict[str, RobotModel] = {}
-
-
-def _robot_model(scenario: Scenario) -> RobotModel:
-    """Returns the last trial's model if the robot is the same."""
-    robot = Scenario(**{name: getattr(scenario, name) for name in _ROBOT_FIELDS})
-    robot.retargeting = dc.replace(scenario.retargeting, latency=0.0)  # each method has its own
-    description = load_hand(scenario.hand)
-    key = repr((robot, description))
-    if key not in _last:
-        _last.clear()
-        _last[key] = RobotModel(robot, description)
-    return _last[key]
 
 
 def _scenario(text: str, case: str) -> Scenario:

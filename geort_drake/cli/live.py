@@ -90,7 +90,7 @@ class Live(Command, ScenarioOptions):
         from geort_drake.live.teleoperation import make_teleoperation
         from geort_drake.live.transports import is_address, open_receiver, split_address
         from geort_drake.people.recording_log import RecordingLog
-        from geort_drake.simulation.following import RobotModel
+        from geort_drake.simulation.following import robot_model
         from geort_drake.systems.glove_recorder import GloveRecorder
 
         for option in ("relax_after", "duration", "timeout", "robot_silence"):
@@ -123,7 +123,7 @@ class Live(Command, ScenarioOptions):
             link = None
             bus = stack.enter_context(contextlib.closing(open_bus(address, description))) if address else None
             retarget, _ = retargeter_of(self.retargeter, description)
-            model = RobotModel(scenario, description)
+            model = robot_model(scenario, description)
             if bus:
                 link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
             recorder = None

@@ -23,7 +23,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.store import shipped_maps
-from geort_drake.simulation.following import RobotModel
+from geort_drake.simulation.following import robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.task import Task
@@ -47,7 +47,7 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, addr
     setup = _setup(options, scenario, description, address)
     link = None
     if address:
-        model = setup.model
+        model = robot_model(scenario, description)
         bus = open_bus(address, description)
         link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
 
@@ -124,7 +124,7 @@ def _setup(options: Any, scenario: Scenario, description: HandDescription, addre
         hands,
         [*_MOUNTS] if usual else [],
     )
-    return Setup(about, scenarios, description, RobotModel(scenario, description), retarget)
+    return Setup(about, scenarios, description, retarget)
 
 
 def _recorded_hand(folder: Path, side: str) -> Recording:

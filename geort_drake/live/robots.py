@@ -19,7 +19,7 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.joint_messages import JointState
 from geort_drake.live.robot_buses import StandInBus, open_stand_in_bus
-from geort_drake.simulation.following import JointGroup, RobotModel
+from geort_drake.simulation.following import JointGroup, RobotModel, robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND, actuated_state
@@ -150,7 +150,7 @@ def make_stand_in(scenario: Scenario, address: str, meshcat: Meshcat | None = No
     """
     description = load_hand(scenario.hand)
     builder = DiagramBuilder()
-    simulated = SimulatedRobot(scenario, description, RobotModel(scenario, description), meshcat)
+    simulated = SimulatedRobot(scenario, description, robot_model(scenario, description), meshcat)
     robot = builder.AddNamedSystem("robot", simulated.diagram)
     groups = (simulated.hand, simulated.arm)
     server = builder.AddNamedSystem("server", JointServer(open_stand_in_bus(address, description), groups))

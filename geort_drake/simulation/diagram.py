@@ -17,7 +17,7 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
-from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
+from geort_drake.simulation.following import add_arm, add_fingers, robot_model
 from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
@@ -62,7 +62,6 @@ def make_trial_diagram(
     human: tuple[HumanHand, Any] | Recording,
     rerun_path: str | os.PathLike | None = None,
     properties: Mapping[str, str | int | float | bool] | None = None,
-    model: RobotModel | None = None,
 ) -> TrialDiagram:
     """Builds the diagram: glove → retargeting → hand, wrist → arm, and the plant.
 
@@ -74,7 +73,6 @@ def make_trial_diagram(
             returns goals, best first.
         rerun_path: file of the Rerun recording; None for none.
         properties: properties of the Rerun recording.
-        model: model of the scenario's robot; None builds it, in 0.15 s.
 
     Raises:
         ScenarioError, HandError: scenario, hand and retargeter do not fit together.
@@ -84,7 +82,7 @@ def make_trial_diagram(
     builder = DiagramBuilder()
 
     # The robot alone, for the inverse kinematics.
-    model = model or RobotModel(scenario, description)
+    model = robot_model(scenario, description)
     X_WB_start = model.X_WB
 
     # The plant and the judge of the task.

@@ -89,6 +89,25 @@ class RobotModel:
         return builder.Build()
 
 
+# Fields of a scenario that determine its robot; and the robot of this process's last trial.
+_ROBOT_FIELDS = "plant_config", "directives", "hand_parent", "arm_posture", "left_arm_posture"
+_last: dict[str, RobotModel] = {}
+
+
+def robot_model(scenario: Scenario, description: HandDescription) -> RobotModel:
+    """Returns a model of the scenario's robot: the one of the last call, if the robot is the same."""
+    robot = Scenario(**{name: getattr(scenario, name) for name in _ROBOT_FIELDS})
+    for name in ("max_joint_speed", "max_joint_acceleration"):
+        setattr(robot.retargeting, name, getattr(scenario.retargeting, name))
+    key = repr((robot, description))
+    if key not in _last:
+        model = RobotModel(robot, description)
+        _last.clear()
+        _last[key] = model
+        return model
+    return _last[key]
+
+
 def add_fingers(
     builder: DiagramBuilder,
     scenario: Scenario,

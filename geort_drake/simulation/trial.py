@@ -14,7 +14,6 @@ from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import TrialResult
@@ -33,12 +32,11 @@ def run_trial(
     rerun_path: str | os.PathLike | None = None,
     properties: Mapping[str, str | int | float | bool] | None = None,
     report: Callable[[float], None] | None = None,
-    model: RobotModel | None = None,
 ) -> tuple[TrialResult, Recording]:
     """Simulates one trial until it succeeds, fails or times out.
 
     Args:
-        scenario, retarget, human, rerun_path, properties, model: see `make_trial_diagram`.
+        scenario, retarget, human, rerun_path, properties: see `make_trial_diagram`.
         report: called with the simulated time, s, every 0.25 s of it.
 
     Returns:
@@ -48,7 +46,7 @@ def run_trial(
     gc.collect()  # the previous trial's diagram, which is part of reference cycles
     forget(retarget)
     properties = {**(properties or {}), "seed": scenario.random_seed}
-    parts = make_trial_diagram(scenario, retarget, human, rerun_path, properties, model)
+    parts = make_trial_diagram(scenario, retarget, human, rerun_path, properties)
     simulator = Simulator(parts.diagram)
     root = simulator.get_mutable_context()
     parts.initialize(root)

@@ -24,7 +24,7 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.watched_trial import make_watched_trial
 from geort_drake.retargeting.base import Retarget
-from geort_drake.simulation.following import RobotModel
+from geort_drake.simulation.following import RobotModel, robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import ARM, HAND
@@ -44,14 +44,13 @@ class Setup:
     Attributes:
         about: facts for the pages.
         scenarios: task → its scenario, the first task first; sessions vary the object.
-        description, model: description of the robot's hand, and model of the first scenario's robot.
+        description: description of the robot's hand.
         retarget: the map with which every session begins.
     """
 
     about: RobotInfo
     scenarios: Mapping[str, Scenario]
     description: HandDescription
-    model: RobotModel
     retarget: Retarget
 
 
@@ -151,10 +150,6 @@ class WebTeleoperation:
             task.choose(scenario, choice.object if choice.object in cases else task.case_of(scenario))
         return scenario
 
-    def _model(self, scenario: Scenario) -> RobotModel:
-        setup, first = self.setup, next(iter(self.setup.scenarios))
-        return setup.model if scenario.task == first else RobotModel(scenario, setup.description)
-
     def _show(self, scene: Scene) -> None:
         """Shows a new scene."""
         self._scenes += 1
@@ -173,8 +168,7 @@ class WebTeleoperation:
         control, scenario, setup = self.control, self._scenario(), self.setup
         scenario.random_seed += self._watched
         self._watched += 1
-        model = self._model(scenario)
-        trial = make_watched_trial(scenario, Hand(setup.description), setup.retarget, model, self._prepared)
+        trial = make_watched_trial(scenario, Hand(setup.description), setup.retarget, self._prepared)
         parts = trial.parts
         scene = Scene(parts.plant, parts.stage.scene.scene_graph.model_inspector(), setup.description)
         self._show(scene)
@@ -202,7 +196,7 @@ class WebTeleoperation:
         """Builds a session's diagram and shows its scene."""
         scenario, control = self._scenario(), self.control
         description = self.setup.description
-        model = self._model(scenario)
+        model = robot_model(scenario, description)
         robot: SimulatedRobot | RobotLink
         if self.link is None:
             scenario.random_seed += self._scenes

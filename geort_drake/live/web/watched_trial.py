@@ -10,7 +10,6 @@ from geort_drake.live.teleoperation import phase_of
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
 from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
@@ -57,7 +56,7 @@ class WatchedTrial:
 
 
 def make_watched_trial(
-    scenario: Scenario, hand: Hand, retarget: Retarget, model: RobotModel, prepared: dict[str, Any]
+    scenario: Scenario, hand: Hand, retarget: Retarget, prepared: dict[str, Any]
 ) -> WatchedTrial:
     """Builds the trial that `geort-drake grasp` would simulate for this scenario and map.
 
@@ -67,7 +66,6 @@ def make_watched_trial(
         scenario: with its object and seed.
         hand: the robot's hand.
         retarget: a method or map.
-        model: model of the scenario's robot.
         prepared: plans, hand and practice of earlier trials with this hand and map; gets those of this one.
 
     Raises:
@@ -83,5 +81,5 @@ def make_watched_trial(
     plans, (adapted, seen) = prepared[name], prepared["practice"]
     forget(adapted)
     goal, _ = keep_reached(plans, seen)
-    parts = make_trial_diagram(scenario, adapted, (prepared["person"], goal), model=model)
+    parts = make_trial_diagram(scenario, adapted, (prepared["person"], goal))
     return WatchedTrial(parts, scenario.timeout)
