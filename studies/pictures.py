@@ -85,7 +85,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         help="folder for the pictures",
     )
     arguments = parser.parse_args(argv)
-    console.quiet = arguments.quiet
     require_writable(arguments.recordings, directory=True)
     require_writable(arguments.output, directory=True)
     folder = arguments.recordings.resolve()
@@ -160,73 +159,68 @@ def film(recording: Path, picture: Path) -> None:
 
 def record_explorer(folder: Path, arguments: argparse.Namespace) -> None:
     """Records a map and an untrained method in the explorer."""
-    methods = ["--methods", arguments.retargeter, "anyteleop"]
-    run("explore_retargeting", *_recording(arguments), *methods, "--output", folder / "explorer.rrd")
+    methods = ["--methods", arguments.retargeter, "affine_ik"]
+    run("explore", *_recording(arguments), *methods, "--output", folder / "explorer.rrd")
 
 
 def record_grasp(folder: Path, arguments: argparse.Namespace) -> None:
     """Records a trial with the object that the README shows."""
     options = ["--objects", "cylinder", "--retargeter", arguments.retargeter, *_recording(arguments)]
-    run("simulate_grasp", *options, "--output", folder / "grasp")
+    run("grasp", *options, "--output", folder / "grasp")
 
 
-def record_task(task: str, few: str, folder: Path, kind: str = "adaptive", case: str | None = None) -> None:
+def record_task(folder: Path, task: str, kind: str, case: str, settings: str = "{}") -> None:
     """Records a short trial of a task, with a method that needs no training."""
-    case = case or task
-    method = ["--methods", "affine_ik", "--trials", "1", "--scenario-text", few, "--objects", case]
-    run("benchmark_grasping", "--tasks", task, "--kinds", kind, *method, "--output", folder / "tasks")
-    benchmark = folder / "tasks" / task / kind
-    run("benchmark_grasping", "--output", benchmark, "--rrd", "affine_ik", case, "0")
+    options = ["--retargeter", "affine_ik", "--scenario-text", settings, "--output", folder / task]
+    run("simulate", "--task", task, "--kind", kind, "--objects", case, *options)
 
 
 def record_keys(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records a few presses of keys."""
-    record_task("keys", "{task_settings: {presses: 3, enough: 3}}", folder)
+    record_task(folder, "keys", "adaptive", "keys", "{task_settings: {presses: 3, enough: 3}}")
 
 
 def record_pick_place(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records a block that is carried to its place."""
-    record_task("pick_place", "{}", folder, "servo", "block_20")
+    record_task(folder, "pick_place", "servo", "block_20")
 
 
 def record_peg(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records a dowel that is inserted in a hole."""
-    record_task("peg", "{}", folder, case="dowel")
+    record_task(folder, "peg", "adaptive", "dowel")
 
 
 def record_cap(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records two strokes of the cap."""
-    record_task("cap", "{task_settings: {turn: 90}}", folder)
+    record_task(folder, "cap", "adaptive", "cap", "{task_settings: {turn: 90}}")
 
 
 def record_hand(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records synthetic play."""
-    run("synthesize_recording", folder / "play.npz")
-    run("export_run", folder / "play.npz", folder / "hand.rrd", "--format", "rrd")
+    run("recording synthesize", "--output", folder / "play.npz")
+    run("export", folder / "play.npz", "--output", folder / "hand.rrd", "--format", "rrd")
 
 
 def record_capture(folder: Path, _arguments: argparse.Namespace) -> None:
     """Records the capture protocol."""
-    run("show_capture_protocol", "--output", folder / "capture.rrd")
+    run("recording protocol", "--output", folder / "capture.rrd")
 
 
 def record_add_hand(folder: Path, _arguments: argparse.Namespace) -> None:
-    """Records the LEAP hand as add_hand.py describes it from its model."""
+    """Records the LEAP hand as `hand add` describes it from its model."""
     output = ["--output", folder / "leap.yaml", "--overwrite"]
-    run("add_hand", ROOT / "models" / "sdf" / "leap_right.sdf", *output, "--rrd", folder / "add_hand.rrd")
+    run("hand add", ROOT / "models" / "sdf" / "leap_right.sdf", *output, "--rrd", folder / "add_hand.rrd")
 
 
 def draw_human_play(folder: Path, arguments: argparse.Namespace) -> None:
     """Draws synthetic play, and a glove's recording if there is one."""
     compared = [] if arguments.glove is None else ["--glove", arguments.glove]
-    run("../studies/human_play", folder / "human_play.png", *compared)
+    draw("human_play", folder / "human_play.png", *compared)
 
 
 def draw_people(folder: Path, _arguments: argparse.Namespace) -> None:
     """Draws hands of the population."""
-    subprocess.run(
-        [sys.executable, ROOT / "studies" / "people.py", "--output", folder / "people.png"], check=True
-    )
+    draw("people", "--output", folder / "people.png")
 
 
 def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
@@ -239,10 +233,10 @@ PICTURES = {
     "explorer": Picture(record_explorer, "explorer.rrd", 4.0),
     "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
-    "keys": Picture(record_keys, "tasks/keys/adaptive/rrd/affine_ik-keys-0.rrd", 6.9),
-    "pick_place": Picture(record_pick_place, "tasks/pick_place/servo/rrd/affine_ik-block_20-0.rrd", 6.3),
-    "peg": Picture(record_peg, "tasks/peg/adaptive/rrd/affine_ik-dowel-0.rrd", 15.0),
-    "cap": Picture(record_cap, "tasks/cap/adaptive/rrd/affine_ik-cap-0.rrd", 6.0),
+    "keys": Picture(record_keys, "keys/keys-0.rrd", 6.9),
+    "pick_place": Picture(record_pick_place, "pick_place/block_20-0.rrd", 6.3),
+    "peg": Picture(record_peg, "peg/dowel-0.rrd", 15.0),
+    "cap": Picture(record_cap, "cap/cap-0.rrd", 6.0),
     "objects": Picture(record_objects, "objects.rrd", 0.7),
     "hand": Picture(record_hand, "hand.rrd", 12.0),
     "capture": Picture(record_capture, "capture.rrd", 66.0),
@@ -252,16 +246,24 @@ PICTURES = {
 }
 
 
-def run(script: str, *options: str | os.PathLike) -> None:
-    """Runs one of the project's scripts.
+def run(command: str, *options: str | os.PathLike) -> None:
+    """Runs a command of `geort-drake`.
 
     Raises:
-        GeortError: the script failed; it has printed why.
+        GeortError: the command failed; it has printed why.
     """
-    quiet = ["--quiet"] if console.quiet else []
-    command = [sys.executable, str(ROOT / "scripts" / f"{script}.py"), *map(str, options), *quiet]
-    if subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode:
-        raise GeortError(f"{script}.py did not finish")
+    _call("-m", "geort_drake", *command.split(), *options)
+
+
+def draw(study: str, *options: str | os.PathLike) -> None:
+    """Runs a program beside this one; raises GeortError as `run` does."""
+    _call(ROOT / "studies" / f"{study}.py", *options)
+
+
+def _call(*words: str | os.PathLike) -> None:
+    line = [str(word) for word in words]
+    if subprocess.run([sys.executable, *line], stdout=subprocess.DEVNULL, check=False).returncode:
+        raise GeortError(f"{' '.join(line)} did not finish")
 
 
 def _recording(arguments: argparse.Namespace) -> list:

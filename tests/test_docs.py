@@ -1,6 +1,8 @@
 """README and docs: snippets run, commands parse and run, options and targets exist, and the site builds."""
 
+import argparse
 import dataclasses
+import importlib
 import json
 import os
 import re
@@ -306,6 +308,27 @@ def test_a_program_and_its_options_exist(line):
     assert (ROOT / path).is_file()
     text = "".join(each.read_text("utf-8") for each in (ROOT / path).parent.glob("*.py"))
     assert all(word in text for word in words if word.startswith("--"))
+
+
+def test_the_commands_that_make_the_pictures_exist(tmp_path, monkeypatch):
+    """Each parses, with its options; programs are files."""
+    monkeypatch.syspath_prepend(ROOT / "studies")
+    monkeypatch.setitem(sys.modules, "screenshots", mock.Mock())  # needs the viewer
+    pictures = importlib.import_module("pictures")
+    lines = []
+    monkeypatch.setattr(pictures, "_call", lambda *words: lines.append([str(word) for word in words]))
+    monkeypatch.setattr(pictures.runpy, "run_path", lambda path: lines.append([path]))
+    arguments = argparse.Namespace(recording=None, glove=None, retargeter="universal")
+    for picture in pictures.PICTURES.values():
+        picture.record(tmp_path, arguments)
+    assert len(lines) >= len(pictures.PICTURES) - 1
+    for first, *rest in lines:
+        if first != "-m":
+            assert Path(first).is_file()
+            continue
+        name, words = split_command(rest[1:])
+        known = {f"--{field.name.replace('_', '-')}" for field in dataclasses.fields(load_command(name))}
+        assert {word for word in words if word.startswith("--")} <= known
 
 
 def test_every_make_target_and_link_of_the_readme_exists():

@@ -62,6 +62,26 @@ def test_a_left_hand_is_retargeted_as_its_mirror_image_and_drawn_as_it_is(play, 
     np.testing.assert_array_equal(given[0], hands.fingertips(left.description.human_keypoints))
     np.testing.assert_allclose(found.p_BF, left.fingertips(found.q))
     np.testing.assert_allclose(found.copy, proportional_copy(mirrored(given[0]), found.p_BF))
+    last_links = left.fingertips(found.q) - joint_origins(left, found.q)
+    last_bones = mirrored(hands.p_HK[:, left.description.human_keypoints]) - mirrored(
+        hands.p_HK[:, np.array(left.description.human_keypoints) - 1]
+    )
+    cosines = (last_links * last_bones).sum(axis=-1)
+    lengths = np.linalg.norm(last_links, axis=-1) * np.linalg.norm(last_bones, axis=-1)
+    np.testing.assert_allclose(np.cos(found.angle), cosines / lengths, atol=1e-6)
+
+
+def joint_origins(hand, q):
+    """Where Drake has each finger's last joint, (T, F, 3), m, in B."""
+    plant, context = hand.plant, hand.plant.CreateDefaultContext()
+    joints = [plant.GetJointByName(finger.joints[-1]) for finger in hand.description.fingers]
+    base = plant.GetFrameByName(hand.description.base_frame)
+    rows = []
+    for row in q:
+        for name, angle in zip(hand.joint_names, row, strict=True):
+            plant.GetJointByName(name).set_angle(context, angle)
+        rows.append([j.frame_on_child().CalcPose(context, base).translation() for j in joints])
+    return np.array(rows)
 
 
 def test_the_recording_contains_the_outputs_of_the_methods(tmp_path, allegro, play):
@@ -88,6 +108,8 @@ def test_the_recording_contains_the_outputs_of_the_methods(tmp_path, allegro, pl
         assert [len(row) for row in cages] == pinches.closed.astype(int).tolist()
         _, states = read(path, f"/{name}", "StateChange:state")
         assert ("collides" in {state[0] for state in states}) == deep
+        _, angles = read(path, f"/posture/{name}", "Scalars:scalars")
+        np.testing.assert_allclose(np.ravel(angles), np.degrees(methods[name].angle.mean(axis=1)), atol=1e-4)
     assert any(entity.startswith("/world/fist/allegro_right") for entity in entities(path))
     _, text = read(path, "/about", "TextDocument:text")
     assert "| pinches closed | " in text[0][0]

@@ -8,8 +8,8 @@ import numpy as np
 
 from geort_drake.errors import RecordingError
 from geort_drake.hands.hand import Hand
-from geort_drake.metrics.evaluation import complete_hands
-from geort_drake.metrics.metrics import PENETRATION, find_pinches
+from geort_drake.metrics.evaluation import complete_hands, distal_links, distal_phalanges
+from geort_drake.metrics.metrics import PENETRATION, angles_between, find_pinches
 from geort_drake.people.keypoints import FINGER_NAMES, mirrored
 from geort_drake.people.recording import Recording
 
@@ -32,6 +32,7 @@ class Response:
             fingers; NaN if none moves.
         gap: (T,) distance between the robot's fingertips that correspond to the person's nearest pair, m.
         closed: (T,) whether these fingertips touch.
+        angle: (T, F) angles between the last links of person and robot, from the last joint to the tip, rad.
         collisions: T arrays (k, 3) of points in B where parts of the hand overlap by over 2 mm, m.
     """
 
@@ -42,6 +43,7 @@ class Response:
     cosine: np.ndarray
     gap: np.ndarray
     closed: np.ndarray
+    angle: np.ndarray
     collisions: list[np.ndarray]
 
 
@@ -84,8 +86,11 @@ def response(retarget: Callable, hand: Hand, hands: Recording) -> Response:
     Args:
         retarget: maps human fingertips (T, F, 3) of a canonical right hand, m, to joint angles (T, n), rad.
     """
-    human = hands.fingertips(hand.description.human_keypoints)
+    keypoints = hand.description.human_keypoints
+    human = hands.fingertips(keypoints)
     q = np.asarray(complete_hands(retarget, hand, hands)(human))
+    # Both are those of right hands.
+    angle = angles_between(distal_phalanges(hands, keypoints), distal_links(hand)(q))
     # Recordings are stored as right hands, so they are mirrored for a left robot hand.
     if hand.description.side == "left":
         human = mirrored(human)
@@ -101,6 +106,7 @@ def response(retarget: Callable, hand: Hand, hands: Recording) -> Response:
         windowed_cosines(human, p_BF, round(WINDOW * hands.rate_hz)),
         gap,
         gap <= 2 * hand.tip_radius,
+        angle,
         _collisions(hand, q),
     )
 

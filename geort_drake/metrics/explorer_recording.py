@@ -88,6 +88,7 @@ def write_exploration(
                 "error": 1e3 * response.error.mean(axis=1),
                 "motion": response.cosine,
                 "gap": 1e3 * response.gap,
+                "posture": np.degrees(response.angle.mean(axis=1)),
             }
             for key, values in curves.items():
                 writer.series(entity_path(key, name), [name], values[:, None], [color])
@@ -150,7 +151,8 @@ def _layout(methods: Sequence[str]) -> views.View:
         views.time_series("fingertips against a proportional copy [mm]", ["/error/**"]),
         views.time_series("direction of motion kept (cosine)", ["/motion/**"]),
         views.time_series("nearest thumb and finger [mm]", ["/gap/**"]),
-        row_shares=[2.3, 1.2, 1.0, 1.0],
+        views.time_series("posture: angle between last links [°]", ["/posture/**"]),
+        row_shares=[2.5, 1.0, 1.0, 1.0, 1.0],
     )
     return views.Horizontal(left, right, column_shares=[5, 3])
 
@@ -160,6 +162,7 @@ def _text(hands: Recording, methods: Mapping[str, Response], pinches: Pinches) -
     table = {
         "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in responses],
         "direction of motion kept": [f"{np.nanmean(a.cosine):.2f}" for a in responses],
+        "posture: angle of the last links": [f"{np.degrees(np.median(a.angle)):.0f}°" for a in responses],
         "pinches closed": [f"{a.closed[pinched].mean():.0%}" if pinched.any() else "–" for a in responses],
         "self-collision": [f"{np.mean([len(points) > 0 for points in a.collisions]):.1%}" for a in responses],
     }

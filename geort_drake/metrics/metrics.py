@@ -292,7 +292,11 @@ def size(
 
 def posture(human: np.ndarray, robot: np.ndarray) -> dict[str, float]:
     """Returns angles between human and robot distal links (T, F, 3), degrees: `median` and `p90` over all."""
-    norms = np.linalg.norm(human, axis=-1) * np.linalg.norm(robot, axis=-1)
-    cosines = np.clip((human * robot).sum(axis=-1) / np.maximum(norms, 1e-12), -1.0, 1.0)
-    median, p90 = np.percentile(np.degrees(np.arccos(cosines)), (50, 90))
+    median, p90 = np.percentile(np.degrees(angles_between(human, robot)), (50, 90))
     return {"median": float(median), "p90": float(p90)}
+
+
+def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Returns the angles (...), rad, between vectors (..., 3)."""
+    norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    return np.arccos(np.clip((a * b).sum(axis=-1) / np.maximum(norms, 1e-12), -1.0, 1.0))
