@@ -12,8 +12,7 @@ import pytest
 
 from geort_drake import load_hand
 from geort_drake.live import driver as driver_module
-from geort_drake.live.joint_messages import JointTargets
-from geort_drake.live.robot_buses import ZmqBus
+from geort_drake.live.joint_messages import Bus, JointTargets, open_zmq_bus
 from geort_drake.live.transports import wait_for
 
 DRIVERS = Path(__file__).resolve().parents[1] / "examples/drivers"
@@ -47,7 +46,7 @@ class Session:
     def run(self, module, *options, until=None) -> None:
         """Runs the driver's `main` until its robot stands at the goal, or `until` holds."""
         arguments = [f"{module.__name__}.py", "--endpoint", self.endpoint, "--speed", "1.0", *options]
-        bus = ZmqBus(self.endpoint)
+        bus = open_zmq_bus(self.endpoint)
         error: list[BaseException] = []
 
         def person() -> None:
@@ -71,7 +70,7 @@ class Session:
         if error:
             raise error[0]
 
-    def _reached(self, bus: ZmqBus, until) -> bool | None:
+    def _reached(self, bus: Bus, until) -> bool | None:
         self._sequence += 1
         zeros = np.zeros_like(self.goal)
         bus.send(JointTargets(self._sequence, 0.0, self.names, self.goal, zeros, True, 5.0))

@@ -74,12 +74,13 @@ def test_a_package_is_kept_out_of_subpackages(package, subpackage):
     ("module", "packages"),
     [
         ("geort_drake", set()),
+        ("geort_drake.live.driver", {"numpy"}),
         ("geort_drake.retargeting.store", {"numpy", "safetensors"}),
         ("geort_drake.retargeting.online", {"numpy", "safetensors"}),
     ],
 )
 def test_a_light_module_loads_only_what_it_needs(module, packages):
-    """The package loads nothing until it is used; on the robot a retargeter needs NumPy."""
+    """The package loads nothing until it is used; on the robot a retargeter and a driver need NumPy."""
     code = f"import sys; before = {{*sys.modules}}; import {module}; print(*({{*sys.modules}} - before))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = {name.split(".")[0].lstrip("_") for name in done.stdout.split()}

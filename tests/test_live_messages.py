@@ -23,12 +23,19 @@ from geort_drake import load_hand, synthesize_play
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live import joint_messages
 from geort_drake.live.driver import JointDriver
-from geort_drake.live.joint_messages import JointState, JointTargets, decode_state, decode_targets
-from geort_drake.live.messages import MAX_BYTES, GloveFrame, decode, encode_frame
-from geort_drake.live.robot_buses import ALLEGRO, PANDA, ZmqBus, open_stand_in_bus
+from geort_drake.live.joint_messages import (
+    JointState,
+    JointTargets,
+    decode_state,
+    decode_targets,
+    open_zmq_bus,
+)
+from geort_drake.live.messages import GloveFrame, decode, encode_frame
+from geort_drake.live.robot_buses import ALLEGRO, PANDA, Device, open_stand_in_bus
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import (
     LOCAL_LCM,
+    MAX_BYTES,
     heard_from_outside,
     is_local,
     open_receiver,
@@ -148,12 +155,22 @@ def test_a_malformed_message_is_refused(name):
     assert len(str(raised.value)) < 300
 
 
+def targets_of(device: Device, q: np.ndarray) -> JointTargets:
+    """Targets of a device's joints, at 2.5 s; the joints are not in the order of its messages."""
+    return JointTargets(1, 2.5, device.joints[::-1], q[::-1], np.zeros_like(q), True, 0.1)
+
+
+def state_of(device: Device, q: np.ndarray, v: np.ndarray) -> JointState:
+    """The state of a device's joints, at 1 s; the joints are not in the order of its messages."""
+    return JointState(1, 1.0, device.joints[::-1], q[::-1], v[::-1])
+
+
 def test_commands_have_the_fields_that_drivers_expect():
     """Of Drake's message types."""
-    command = lcmt_allegro_command.decode(ALLEGRO.encode_command(2.5, np.arange(16.0)))
+    command = lcmt_allegro_command.decode(ALLEGRO.encode_command(targets_of(ALLEGRO, np.arange(16.0))))
     assert (command.utime, command.num_joints, command.num_torques) == (2_500_000, 16, 0)
     assert list(command.joint_position) == list(range(16))
-    command = lcmt_panda_command.decode(PANDA.encode_command(2.5, np.arange(7.0)))
+    command = lcmt_panda_command.decode(PANDA.encode_command(targets_of(PANDA, np.arange(7.0))))
     assert (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque) == (7, 0, 0)
     assert command.control_mode_expected == 1  # position
     with pytest.raises(LiveError, match="control_mode_expected must be 1, not 3"):
@@ -166,7 +183,8 @@ def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refuse
     """In Drake's messages; cut off, of another size, not finite, or with a wrong length inside."""
     n = len(device.joints)
     q, v = np.arange(n) / 7, -np.arange(n) / 3
-    status, command = device.encode_status(1.0, q, v), device.encode_command(1.0, q)
+    status = device.encode_status(state_of(device, q, v))
+    command = device.encode_command(targets_of(device, q))
     np.testing.assert_array_equal(device.decode_command(command).position, q)
     state = device.decode_status(status)
     np.testing.assert_array_equal([state.position, state.velocity], [q, v])
@@ -184,9 +202,10 @@ def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refuse
                 decode_it(bad)
     for bad in (np.inf, np.nan):
         with pytest.raises(LiveError, match=r"joint_position must be .* finite numbers"):
-            device.decode_command(device.encode_command(1.0, np.full(n, bad)))
+            device.decode_command(device.encode_command(targets_of(device, np.full(n, bad))))
     with pytest.raises(LiveError, match="Is this the hand that the robot has"):
-        device.decode_status(device.encode_status(0.0, np.zeros(n + 1), np.zeros(n + 1)))
+        larger = dataclasses.replace(device, joints=(*device.joints, "one more"))
+        device.decode_status(larger.encode_status(state_of(larger, np.zeros(n + 1), np.zeros(n + 1))))
 
 
 def test_the_fingers_of_a_real_allegro_get_their_own_joints():
@@ -194,8 +213,9 @@ def test_the_fingers_of_a_real_allegro_get_their_own_joints():
     for side, index in (("right", range(0, 4)), ("left", range(8, 12))):
         hand = load_hand(f"allegro_{side}")
         (finger,) = (finger for finger in hand.fingers if finger.name == "index")
-        q = {name: float(name in finger.joints) for name in hand.joint_names}
-        command = ALLEGRO.encode_command(0.0, [q[name] for name in ALLEGRO.joints])
+        q = np.array([float(name in finger.joints) for name in hand.joint_names])
+        targets = JointTargets(1, 0.0, hand.joint_names, q, np.zeros(16), True, 0.1)
+        command = ALLEGRO.encode_command(targets)
         assert list(np.flatnonzero(lcmt_allegro_command.decode(command).joint_position)) == [*index], side
 
 
@@ -492,7 +512,7 @@ class Robot:
 
     def __init__(self, folder):
         self.endpoint, self.clock = f"ipc://{folder}/robot", Clock(0.0)
-        self.bus, self.sequence = ZmqBus(self.endpoint), 0
+        self.bus, self.sequence = open_zmq_bus(self.endpoint), 0
 
     def driver(self) -> JointDriver:
         driver = JointDriver(
@@ -518,7 +538,7 @@ def step_after(driver: JointDriver, send) -> np.ndarray:
 
     def came() -> bool | None:
         send()
-        return True if driver._targets.poll(100) else None
+        return True if driver.bus._receiver._socket.poll(100) else None
 
     wait_for(came, 20.0, lambda: "nothing came")
     return driver.step(np.zeros(2))
@@ -539,4 +559,4 @@ def test_a_driver_follows_at_its_speed_within_its_limits_and_holds_after_the_dea
     assert all(holding for _, holding in steps[11:])  # the deadline is 0.1 s
     np.testing.assert_array_equal(steps[11][0], steps[29][0])
     step_after(driver, lambda: robot.bus._sender.send(b"{}"))
-    assert driver.refused and "format must be" in driver.last_refusal
+    assert driver.bus.refused and "format must be" in driver.bus.last_refusal

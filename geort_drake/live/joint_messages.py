@@ -21,14 +21,15 @@ This module needs only NumPy, so that it also runs on a robot's computer.
 
 import dataclasses as dc
 import json
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from geort_drake.errors import LiveError
+from geort_drake.live.transports import MAX_BYTES, ZmqReceiver, ZmqSender
 
-VERSION, MAX_BYTES = 1, 65_536
+VERSION = 1
 
 
 @dc.dataclass(frozen=True, eq=False)
@@ -137,3 +138,94 @@ def _number(what: str, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
         raise LiveError(f"{what}: {name} must be finite, not {value!r:.40}")
     return float(value)
+
+
+Sent = TypeVar("Sent", JointTargets, JointState)
+Received = TypeVar("Received", JointTargets, JointState)
+
+
+class Bus(Generic[Sent, Received]):
+    """One end of a connection between a program and a robot's driver.
+
+    Attributes:
+        refused, last_refusal: number of messages that could not be used, and why the last could not.
+        arm_is_required: whether the robot always has an arm.
+    """
+
+    arm_is_required = False
+
+    def __init__(self) -> None:
+        self.refused, self.last_refusal = 0, ""
+
+    def send(self, message: Sent) -> None:
+        """Sends a message to the other end; without one, it is dropped."""
+        raise NotImplementedError
+
+    def fetch(self) -> list[Received]:
+        """Returns the usable messages since the last call, oldest first; does not wait."""
+        messages: list[Received] = []
+        for decode, data in self._arrivals():
+            try:
+                messages.append(decode(data))
+            except LiveError as error:
+                self.refused, self.last_refusal = self.refused + 1, str(error)
+        return messages
+
+    def close(self) -> None:
+        """Closes the connection."""
+
+    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Received], bytes]]:
+        """Returns the bytes of the messages since the last call, each with its decoder."""
+        raise NotImplementedError
+
+
+class ZmqBus(Bus[Sent, Received]):
+    """JSON over a pair of ZeroMQ sockets; see `open_zmq_bus` and `open_driver_bus`."""
+
+    def __init__(self, sender: ZmqSender, receiver: ZmqReceiver, decode: Callable[[bytes], Received]):
+        super().__init__()
+        self._sender, self._receiver = sender, receiver
+        self._decode: Callable[[bytes], Received] = decode
+
+    def send(self, message: Sent) -> None:
+        self._sender.send(encode(message))
+
+    def close(self) -> None:
+        self._sender.close()
+        self._receiver.close()
+
+    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Received], bytes]]:
+        return [(self._decode, data) for data in self._receiver.drain()]
+
+
+def open_zmq_bus(endpoint: str) -> ZmqBus[JointTargets, JointState]:
+    """Publishes targets at an endpoint and receives states at `status_endpoint`; both sockets listen.
+
+    Raises:
+        LiveError: an endpoint is in use, or pyzmq is not installed.
+    """
+    sender = ZmqSender("pub", endpoint)
+    try:
+        receiver = ZmqReceiver("pull", status_endpoint(endpoint), binds=True)
+    except LiveError:
+        sender.close()
+        raise
+    return ZmqBus(sender, receiver, decode_state)
+
+
+def open_driver_bus(endpoint: str) -> ZmqBus[JointState, JointTargets]:
+    """Connects a driver to the endpoints of `open_zmq_bus`, at once or when they are opened.
+
+    Raises:
+        LiveError: pyzmq is not installed.
+    """
+    sender = ZmqSender("push", status_endpoint(endpoint), binds=False)
+    return ZmqBus(sender, ZmqReceiver("sub", endpoint), decode_targets)
+
+
+def status_endpoint(endpoint: str) -> str:
+    """Returns the endpoint at which states are received: the next TCP port, or the path with `-state`."""
+    if endpoint.startswith("tcp://"):
+        host, _, port = endpoint.rpartition(":")
+        return f"{host}:{int(port) + 1}"
+    return f"{endpoint}-state"

@@ -30,6 +30,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import LiveError, MismatchError
+from geort_drake.live.transports import MAX_BYTES
 from geort_drake.people.checks import NORM_REPAIRABLE, NORM_TOLERANCE
 from geort_drake.people.formats import NODE_COUNT, keypoints_of_nodes
 from geort_drake.people.keypoints import KEYPOINT_COUNT, mirrored, to_wrist_frame, wrist_pose
@@ -37,8 +38,6 @@ from geort_drake.people.recording import SIDES
 
 FORMAT, VERSION = "geort_drake.glove", 1
 _FIELDS = {"format", "version", "unit", "side", "time", "p_HK", "X_WH"}
-# The package's own messages take 2 kB; those of MANUS bridges, with sensors and joint angles, up to 10 kB.
-MAX_BYTES = 65_536
 # Largest accepted coordinate, m.
 _MAX_DISTANCE_M = 100.0
 _TEXT_VALUES = 1 + 7 * NODE_COUNT  # number of values of one glove in the text form

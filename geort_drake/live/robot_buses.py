@@ -7,52 +7,33 @@ Addresses:
 """
 
 import dataclasses as dc
+import functools
 import struct
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, Protocol, TypeVar
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from drake import lcmt_allegro_command, lcmt_allegro_status, lcmt_panda_command, lcmt_panda_status
+from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import PandaControlMode
 
 from geort_drake.errors import HandError, LiveError
 from geort_drake.hands.description import HandDescription
-from geort_drake.live.driver import status_endpoint
-from geort_drake.live.joint_messages import JointState, JointTargets, decode_state, decode_targets, encode
-from geort_drake.live.transports import Inbox, ZmqReceiver, ZmqSender, open_lcm, split_address
+from geort_drake.live.joint_messages import (
+    Bus,
+    JointState,
+    JointTargets,
+    Received,
+    Sent,
+    open_driver_bus,
+    open_zmq_bus,
+)
+from geort_drake.live.transports import check_lcm_url, split_address
 
-Message = TypeVar("Message", JointState, JointTargets)
 ROBOT_PATTERNS = ("zmq", "lcm")
 
 
-class RobotBus(Protocol):
-    """Where a robot's driver listens.
-
-    Attributes:
-        arm_is_required: whether the robot always has an arm.
-    """
-
-    arm_is_required: bool
-
-    @property
-    def refused(self) -> int:
-        """Number of states that could not be used."""
-
-    @property
-    def last_refusal(self) -> str:
-        """Why the last of them could not be used."""
-
-    def send(self, targets: JointTargets) -> None:
-        """Sends joint targets."""
-
-    def fetch(self) -> list[JointState]:
-        """Returns the states that have arrived since the last call, oldest first; does not wait."""
-
-    def close(self) -> None:
-        """Closes the bus."""
-
-
-def open_bus(address: str, description: HandDescription) -> RobotBus:
+def open_bus(address: str, description: HandDescription) -> Bus[JointTargets, JointState]:
     """Opens a robot's address.
 
     Raises:
@@ -61,76 +42,18 @@ def open_bus(address: str, description: HandDescription) -> RobotBus:
     """
     pattern, endpoint = split_address(address, ROBOT_PATTERNS)
     if pattern == "zmq":
-        return ZmqBus(endpoint)
+        return open_zmq_bus(endpoint)
     require_lcm_messages(description)
-    return LcmBus(endpoint)
+    return LcmBus(endpoint, ("COMMAND", Device.encode_command), ("STATUS", Device.decode_status))
 
 
-def open_stand_in_bus(address: str, description: HandDescription) -> "StandInBus":
+def open_stand_in_bus(address: str, description: HandDescription) -> Bus[JointState, JointTargets]:
     """Opens the driver's end of a robot's address; errors as in `open_bus`."""
     pattern, endpoint = split_address(address, ROBOT_PATTERNS)
     if pattern == "zmq":
-        return ZmqDriverBus(endpoint)
+        return open_driver_bus(endpoint)
     require_lcm_messages(description)
-    return LcmDriverBus(endpoint)
-
-
-class StandInBus(Protocol):
-    """The driver's end of a bus."""
-
-    def send(self, state: JointState) -> None:
-        """Sends a joint state."""
-
-    def fetch(self) -> list[JointTargets]:
-        """Returns the targets that have arrived since the last call, oldest first; does not wait."""
-
-
-class _Zmq(Generic[Message]):
-    """Sends and receives JSON over two ZeroMQ sockets."""
-
-    arm_is_required = False
-
-    def __init__(self, sender: ZmqSender, receiver: ZmqReceiver, decode: Callable[[bytes], Message]):
-        self._sender, self._receiver = sender, receiver
-        self._decode: Callable[[bytes], Message] = decode
-        self.refused, self.last_refusal = 0, ""
-
-    def send(self, message: JointState | JointTargets) -> None:
-        self._sender.send(encode(message))
-
-    def fetch(self) -> list[Message]:
-        messages: list[Message] = []
-        for data in self._receiver.drain():
-            try:
-                messages.append(self._decode(data))
-            except LiveError as error:
-                self.refused, self.last_refusal = self.refused + 1, str(error)
-        return messages
-
-    def close(self) -> None:
-        self._sender.close()
-        self._receiver.close()
-
-
-class ZmqBus(_Zmq[JointState]):
-    """Publishes targets at an endpoint and receives states at the next; both sockets listen."""
-
-    def __init__(self, endpoint: str):
-        sender = ZmqSender("pub", endpoint)
-        try:
-            receiver = ZmqReceiver("pull", status_endpoint(endpoint), binds=True)
-        except LiveError:
-            sender.close()
-            raise
-        super().__init__(sender, receiver, decode_state)
-
-
-class ZmqDriverBus(_Zmq[JointTargets]):
-    """The driver's end of `ZmqBus`, which connects."""
-
-    def __init__(self, endpoint: str):
-        sender = ZmqSender("push", status_endpoint(endpoint), binds=False)
-        super().__init__(sender, ZmqReceiver("sub", endpoint), decode_targets)
+    return LcmBus(endpoint, ("STATUS", Device.encode_status), ("COMMAND", Device.decode_command))
 
 
 @dc.dataclass(frozen=True)
@@ -156,10 +79,10 @@ class Device:
     status_fields: tuple[str, str, str]
     constants: Mapping[str, float] = dc.field(default_factory=dict)
 
-    def encode_command(self, time: float, position: Sequence[float]) -> bytes:
-        """Returns the message that commands positions (n,), rad, at `time`, s."""
-        fields = {self.count_field: len(position), "joint_position": list(position)}
-        return self._encode(self.command_type, time, fields)
+    def encode_command(self, targets: JointTargets) -> bytes:
+        """Returns the message that commands the targets' positions of the device's joints."""
+        (q,) = self._own(targets.names, targets.position)
+        return self._encode(self.command_type, targets.time, {self.count_field: len(q), "joint_position": q})
 
     def decode_command(self, message: bytes) -> JointTargets:
         """Returns the commanded positions as targets that do not move.
@@ -167,24 +90,24 @@ class Device:
         Raises:
             LiveError: the message is malformed, for another number of joints, or not finite.
         """
-        size = len(self.encode_command(0.0, [0.0] * len(self.joints)))
+        zeros = np.zeros(len(self.joints))
+        size = len(self.encode_command(JointTargets(0, 0.0, self.joints, zeros, zeros, True, np.inf)))
         command = self._decode(self.command_type, message, size)
         for field, expected in self.constants.items():
             if (given := getattr(command, field, expected)) != expected:
                 raise LiveError(f"{self.name}: {field} must be {expected}, not {given}")
         q = self._joint_values(command, "joint_position")
-        return JointTargets(0, 1e-6 * command.utime, self.joints, q, np.zeros_like(q), True, np.inf)
+        return JointTargets(0, 1e-6 * command.utime, self.joints, q, zeros, True, np.inf)
 
-    def encode_status(self, time: float, position: Sequence[float], velocity: Sequence[float]) -> bytes:
-        """Returns the status message at `time`, s. Fields that are not simulated are zero."""
-        n = len(position)
+    def encode_status(self, state: JointState) -> bytes:
+        """Returns the status of the device's joints. Fields that are not simulated are zero."""
+        n = len(self.joints)
         # Each list in a status has one number per joint.
         empty = self.status_type()
         fields = {name: [0.0] * n for name in empty.__slots__ if isinstance(getattr(empty, name), list)}
-        measured = zip(self.status_fields, (position, velocity, position), strict=True)
-        return self._encode(
-            self.status_type, time, {"num_joints": n} | fields | {name: list(part) for name, part in measured}
-        )
+        q, v = self._own(state.names, state.position, state.velocity)
+        fields |= zip(self.status_fields, (q, v, q), strict=True)
+        return self._encode(self.status_type, state.time, {"num_joints": n} | fields)
 
     def decode_status(self, message: bytes) -> JointState:
         """Returns the state in a status.
@@ -192,10 +115,16 @@ class Device:
         Raises:
             LiveError: the message is malformed, of another number of joints, or not finite.
         """
-        zeros = [0.0] * len(self.joints)
-        status = self._decode(self.status_type, message, len(self.encode_status(0.0, zeros, zeros)))
+        zeros = np.zeros(len(self.joints))
+        size = len(self.encode_status(JointState(0, 0.0, self.joints, zeros, zeros)))
+        status = self._decode(self.status_type, message, size)
         q, v, _ = (self._joint_values(status, field) for field in self.status_fields)
         return JointState(0, 1e-6 * status.utime, self.joints, q, v)
+
+    def _own(self, names: Sequence[str], *values: np.ndarray) -> list[list[float]]:
+        """Returns arrays of values (N,) of named joints as lists for the device's joints, in its order."""
+        order = [list(names).index(name) for name in self.joints]
+        return [np.asarray(array, float)[order].tolist() for array in values]
 
     def _encode(self, kind: type, time: float, fields: Mapping[str, Any]) -> bytes:
         message: Any = kind()
@@ -266,56 +195,45 @@ def require_lcm_messages(description: HandDescription) -> None:
         )
 
 
-class _Lcm(Generic[Message]):
-    """Sends and receives Drake's messages of all devices on an LCM bus."""
+class LcmBus(Bus[Sent, Received]):
+    """Drake's messages for all devices on an LCM bus.
+
+    Args:
+        url: LCM URL.
+        sends: ending of the channels to which it sends, and the method that encodes for a device.
+        receives: ending of the channels that it receives, and the method that decodes a device's messages.
+
+    Raises:
+        LiveError: the URL is malformed.
+    """
 
     arm_is_required = True
 
-    def __init__(self, url: str, decoders: Mapping[str, Callable[[bytes], Message]]):
-        """Takes LCM channel → decoder of its messages."""
-        self._lcm = open_lcm(url)
-        self._inbox = Inbox(self._lcm, decoders)
-
-    @property
-    def refused(self) -> int:
-        return self._inbox.refused
-
-    @property
-    def last_refusal(self) -> str:
-        return self._inbox.last_refusal
-
-    def fetch(self) -> list[Message]:
-        return self._inbox.fetch()
-
-    def close(self) -> None:
-        pass
-
-
-class LcmBus(_Lcm[JointState]):
-    """Commands an Allegro hand and a Panda arm, and receives their statuses."""
-
-    def __init__(self, url: str):
-        super().__init__(url, {f"{d.channel}_STATUS": d.decode_status for d in DEVICES})
-
-    def send(self, targets: JointTargets) -> None:
-        q = dict(zip(targets.names, targets.position, strict=True))
+    def __init__(
+        self,
+        url: str,
+        sends: tuple[str, Callable[[Device, Sent], bytes]],
+        receives: tuple[str, Callable[[Device, bytes], Received]],
+    ):
+        super().__init__()
+        check_lcm_url(url)
+        self._lcm = DrakeLcm(url)
+        self._ending, self._encode = sends
+        self._new: list[tuple[Callable[[bytes], Received], bytes]] = []
+        ending, decode = receives
         for device in DEVICES:
-            message = device.encode_command(targets.time, [float(q[name]) for name in device.joints])
-            self._lcm.Publish(f"{device.channel}_COMMAND", message)
-
-
-class LcmDriverBus(_Lcm[JointTargets]):
-    """The driver's end of `LcmBus`."""
-
-    def __init__(self, url: str):
-        super().__init__(url, {f"{d.channel}_COMMAND": d.decode_command for d in DEVICES})
-
-    def send(self, state: JointState) -> None:
-        values = {
-            name: (q, v) for name, q, v in zip(state.names, state.position, state.velocity, strict=True)
-        }
-        for device in DEVICES:
-            position, velocity = zip(*(values[name] for name in device.joints), strict=True)
-            self._lcm.Publish(
-                f"{device.channel}_STATUS", device.encode_status(state.time, position, velocity)
+            decoder = functools.partial(decode, device)
+            self._lcm.Subscribe(
+                f"{device.channel}_{ending}",
+                lambda message, decoder=decoder: self._new.append((decoder, message)),
             )
+
+    def send(self, message: Sent) -> None:
+        for device in DEVICES:
+            self._lcm.Publish(f"{device.channel}_{self._ending}", self._encode(device, message))
+
+    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Received], bytes]]:
+        # LCM keeps only one message per channel, so this must be called often.
+        self._lcm.HandleSubscriptions(0)
+        new, self._new = self._new, []
+        return new

@@ -9,8 +9,7 @@ from pydrake.systems.framework import Context, DiscreteStateIndex, DiscreteValue
 
 from geort_drake.errors import LiveError
 from geort_drake.live.glove_stream import POLL_PERIOD
-from geort_drake.live.joint_messages import JointTargets
-from geort_drake.live.robot_buses import RobotBus
+from geort_drake.live.joint_messages import Bus, JointState, JointTargets
 from geort_drake.live.transports import wait_for
 from geort_drake.live.watchdog import AFTER
 from geort_drake.simulation.following import JointGroup
@@ -23,7 +22,7 @@ _HOLD_PERIODS = 10
 
 
 class RobotLink(PythonSystem):
-    """Sends joint targets to a robot's driver and receives the robot's joint states, over any `RobotBus`.
+    """Sends joint targets to a robot's driver and receives the robot's joint states, over any `Bus`.
 
     States are read every `POLL_PERIOD`. Targets are sent every `period`, as soon as they are computed. A
     robot without the model's arm is a hand alone: the arm stays in its initial position, and no targets are
@@ -51,7 +50,7 @@ class RobotLink(PythonSystem):
 
     def __init__(
         self,
-        bus: RobotBus,
+        bus: Bus[JointTargets, JointState],
         hand: JointGroup,
         arm: JointGroup,
         period: float,

@@ -17,8 +17,8 @@ from pydrake.systems.framework import (
 
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.live.glove_stream import POLL_PERIOD
-from geort_drake.live.joint_messages import JointState
-from geort_drake.live.robot_buses import StandInBus, open_stand_in_bus
+from geort_drake.live.joint_messages import Bus, JointState, JointTargets
+from geort_drake.live.robot_buses import open_stand_in_bus
 from geort_drake.simulation.following import JointGroup, RobotModel, robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
@@ -104,7 +104,7 @@ class JointServer(PythonSystem):
         groups: the joints of hand and arm.
     """
 
-    def __init__(self, bus: StandInBus, groups: Sequence[JointGroup]):
+    def __init__(self, bus: Bus[JointState, JointTargets], groups: Sequence[JointGroup]):
         super().__init__()
         self.bus, self._groups, self._sequence = bus, list(groups), 0
         self._measured = [self.DeclareVectorInputPort(f"{g.name}_state", 2 * len(g.joints)) for g in groups]

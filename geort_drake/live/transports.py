@@ -7,6 +7,8 @@
     lcm+URL                 LCM on that URL, udpm://GROUP:PORT?ttl=N
 
 ZeroMQ's ipc:// works in place of tcp://. Receivers connect and senders bind, so only senders listen.
+
+This module needs no Drake, so that it also runs on a robot's computer.
 """
 
 import importlib
@@ -14,15 +16,14 @@ import ipaddress
 import re
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from pydrake.lcm import DrakeLcm
-
 from geort_drake.errors import LiveError
-from geort_drake.live.messages import MAX_BYTES
 
+# Largest message. Those of the package take 2 kB; those of MANUS bridges, with joint angles, up to 10 kB.
+MAX_BYTES = 65_536
 # LCM's default group and port; ttl=0 keeps sent messages on this machine.
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
 
@@ -81,7 +82,7 @@ def split_address(address: str, patterns: Sequence[str]) -> tuple[str, str]:
     """
     pattern, _, endpoint = address.partition("+")
     if pattern == "lcm" and pattern in patterns:
-        _check_lcm_url(endpoint or LOCAL_LCM)
+        check_lcm_url(endpoint or LOCAL_LCM)
         return pattern, endpoint or LOCAL_LCM
     if pattern not in patterns or not re.fullmatch(r"tcp://[^\s:/]+:\d{1,5}|ipc://\S+", endpoint):
         forms = [_FORMS.get(name, f"{name}+tcp://HOST:PORT") for name in patterns]
@@ -89,7 +90,7 @@ def split_address(address: str, patterns: Sequence[str]) -> tuple[str, str]:
     return pattern, endpoint
 
 
-def _check_lcm_url(url: str) -> None:
+def check_lcm_url(url: str) -> None:
     """Raises LiveError unless LCM can use the URL. LCM itself accepts any, but loses all messages."""
     match = re.fullmatch(r"udpm://([\d.]+):(\d{1,5})\?ttl=\d{1,3}", url)
     try:
@@ -130,46 +131,6 @@ def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
         if int(flags, 16) & _ROUTE_IS_UP and group & bits == network:
             found.append((-bits, int(metric), interface))
     return bool(found) and min(found)[2] != "lo"
-
-
-def open_lcm(url: str) -> DrakeLcm:
-    """Returns a new LCM bus, not shared with other parts of the program.
-
-    Raises:
-        LiveError: the URL is malformed.
-    """
-    _check_lcm_url(url)
-    return DrakeLcm(url)
-
-
-class Inbox:
-    """Collects the usable messages of several LCM channels.
-
-    Attributes:
-        refused, last_refusal: number of messages that could not be used, and why the last could not.
-
-    Args:
-        lcm: the bus.
-        decoders: channel → function that decodes its messages or raises LiveError.
-    """
-
-    def __init__(self, lcm: DrakeLcm, decoders: Mapping[str, Callable[[bytes], Any]]):
-        self._lcm, self._messages = lcm, list[Any]()
-        self.refused, self.last_refusal = 0, ""
-        for channel, decode in decoders.items():
-            lcm.Subscribe(channel, lambda message, d=decode: self._receive(d, message))
-
-    def fetch(self) -> list[Any]:
-        """Returns the messages since the last call. LCM keeps only one per channel, so call this often."""
-        self._lcm.HandleSubscriptions(0)
-        messages, self._messages = self._messages, []
-        return messages
-
-    def _receive(self, decode: Callable[[bytes], Any], message: bytes) -> None:
-        try:
-            self._messages.append(decode(message))
-        except LiveError as error:
-            self.refused, self.last_refusal = self.refused + 1, str(error)
 
 
 class _ZmqSocket:
