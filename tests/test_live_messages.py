@@ -31,7 +31,7 @@ from geort_drake.live.joint_messages import (
     open_zmq_bus,
 )
 from geort_drake.live.messages import GloveFrame, decode, encode_frame
-from geort_drake.live.robot_buses import ALLEGRO, PANDA, Device, open_stand_in_bus
+from geort_drake.live.robot_buses import ALLEGRO, PANDA, Device, open_bus, open_stand_in_bus
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.transports import (
     LOCAL_LCM,
@@ -350,6 +350,45 @@ def program(folder: Path, name: str, *arguments: str, stdin: int = subprocess.DE
         finally:
             process.kill()
             process.communicate()
+
+
+@pytest.mark.parametrize("carrier", ["zmq", "lcm"])
+def test_joint_messages_reach_the_other_end_and_malformed_ones_are_counted(tmp_path, carrier, request):
+    """Targets reach the driver and states come back, by name; both ends count what they refuse."""
+    hand = load_hand("allegro_right")
+    address = f"zmq+ipc://{tmp_path}/robot"
+    if carrier == "lcm":
+        address = f"lcm+{request.getfixturevalue('lcm_url')}"
+    names = [*ALLEGRO.joints[::-1], *PANDA.joints]
+    q, v = np.arange(23) / 7, -np.arange(23) / 3
+    targets = JointTargets(1, 2.0, names, q, np.zeros(23), True, 0.1)
+    state = JointState(1, 2.0, names, q, v)
+    with contextlib.closing(open_bus(address, hand)) as live:
+        with contextlib.closing(open_stand_in_bus(address, hand)) as driver:
+            for sender, receiver, message in ((live, driver, targets), (driver, live, state)):
+                received: dict[str, float] = {}
+
+                def came(sender=sender, receiver=receiver, message=message, received=received):
+                    sender.send(message)
+                    for each in receiver.fetch():
+                        received.update(zip(each.names, each.position.tolist(), strict=True))
+                    return len(received) == len(names) or None
+
+                wait_for(came, PATIENCE_S, lambda: "nothing came")
+                assert received == dict(zip(names, q.tolist(), strict=True))
+                assert receiver.refused == 0
+
+            def refused() -> bool | None:
+                if carrier == "zmq":
+                    live._sender.send(b"{}")
+                else:
+                    live._lcm.Publish("ALLEGRO_COMMAND", b"short")
+                driver.fetch()
+                return driver.refused > 0 or None
+
+            wait_for(refused, PATIENCE_S, lambda: "nothing was refused")
+            expected = "format must be" if carrier == "zmq" else "lcmt_allegro_command of 5 bytes"
+            assert expected in driver.last_refusal
 
 
 def wait_for_text(folder: Path, name: str, text: str) -> None:

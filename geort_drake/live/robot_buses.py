@@ -218,11 +218,12 @@ class LcmBus(Bus[Sent, Received]):
         super().__init__()
         check_lcm_url(url)
         self._lcm = DrakeLcm(url)
-        self._ending, self._encode = sends
+        self._ending: str = sends[0]
+        self._encode: Callable[[Device, Sent], bytes] = sends[1]
         self._new: list[tuple[Callable[[bytes], Received], bytes]] = []
         ending, decode = receives
         for device in DEVICES:
-            decoder = functools.partial(decode, device)
+            decoder: Callable[[bytes], Received] = functools.partial(decode, device)
             self._lcm.Subscribe(
                 f"{device.channel}_{ending}",
                 lambda message, decoder=decoder: self._new.append((decoder, message)),
