@@ -4,7 +4,9 @@ A message names file, field and frame, what was expected, what was given, and th
 print the message alone and exit with code 2.
 """
 
-from collections.abc import Iterable, Sequence
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 
 
 class GeortError(Exception):
@@ -64,6 +66,15 @@ class UnknownNameError(GeortError):
 
     def __init__(self, kind: str, name: str, choices: Iterable[str]):
         super().__init__(f"unknown {kind} '{name}'; choose one of: {', '.join(sorted(choices)) or 'none'}")
+
+
+@contextmanager
+def naming(what: str | os.PathLike, kind: type[GeortError]) -> Iterator[None]:
+    """Puts what it is about before the message of an error of this kind that is raised within."""
+    try:
+        yield
+    except kind as error:
+        raise kind(f"{what}: {error}") from error
 
 
 def listed(names: Sequence[str], most: int = 8) -> str:

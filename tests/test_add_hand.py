@@ -47,7 +47,7 @@ FAMILY = [
 @pytest.mark.parametrize("spec", FAMILY, ids=lambda spec: f"{spec.fingers}-{spec.kind}-{spec.names}")
 def test_fingers_base_and_side_are_found(spec, tmp_path):
     """The proposal equals the specification; tips without geometry are guessed. The next command fits."""
-    description = propose(write_hand(tmp_path, spec)).description
+    description = propose(write_hand(tmp_path, spec))[0]
     assert (description.side, description.finger_names) == (spec.side, spec.finger_names)
     for number, finger in enumerate(description.fingers):
         # Thumbs have three joints; of four, the last one follows where there is mimicry.
@@ -83,7 +83,7 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
 
     Shapes lie where Drake has them; and the clearance's gradient is that of its gaps.
     """
-    coupled = Hand(propose(write_hand(tmp_path, HandSpec(4, kind))).description)
+    coupled = Hand(propose(write_hand(tmp_path, HandSpec(4, kind)))[0])
     q = rng.uniform(coupled.lower, coupled.upper, (40, len(coupled.joint_names)))
     p_BF, kinematics = coupled.fingertips(q), coupled.kinematics()
     np.testing.assert_allclose(fingertips(kinematics, torch.tensor(q)), p_BF, atol=1e-12)
@@ -145,7 +145,7 @@ def test_a_description_is_written_as_it_is_read(tmp_path):
     first, second, *_ = text.splitlines()
     assert first == "# Made by geort-drake hand add from hand.urdf." and "no position controllers" in second
     assert yaml.safe_load(text)["model"] == "hand.urdf"
-    assert load_hand(file) == propose(model, "mine").description
+    assert load_hand(file) == propose(model, "mine")[0]
     with pytest.raises(OutputError, match=r"hand\.yaml exists"):
         run_command("hand add", [str(model), "--output", str(file)])
     run_command("hand add", [str(model), "--output", str(file), "--overwrite"])
@@ -177,7 +177,7 @@ FAULTS = {
 def test_faults_are_named(fault, tmp_path):
     """In a model that is described, changed, written and read; else nothing is found."""
     changes, change, finding = FAULTS[fault]
-    description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes)).description
+    description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes))[0]
     if change:
         change(description)
     write_description(description, tmp_path / "hand.yaml")
@@ -188,7 +188,7 @@ def test_faults_are_named(fault, tmp_path):
 def test_permanent_contacts_are_ignored(tmp_path):
     """Links that always overlap are found, and their contact is ignored."""
     thick = {'<box size="0.02 0.066 0.08"/>': '<box size="0.06 0.066 0.125"/>'}
-    description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=thick)).description
+    description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=thick))[0]
     assert ["index_l1", "palm"] in description.ignored_collisions
     hand = Hand(description)
     assert not hand.collides(hand.default_position)
@@ -199,12 +199,12 @@ def test_permanent_contacts_are_ignored(tmp_path):
 def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices(tmp_path):
     """A joint with followers in two fingers cannot belong to one; a note names it. Others need no names."""
     changes = {'<mimic joint="middle_j2"': '<mimic joint="index_j2"', "index": "one", "middle": "two"}
-    proposal = propose(write_hand(tmp_path, HandSpec(4), changes=changes))
-    assert proposal.description.finger_names == ["thumb", "index", "middle", "ring"]
-    assert "one_j2" not in proposal.description.joint_names
-    notes = "\n".join(proposal.notes)
+    description, notes = propose(write_hand(tmp_path, HandSpec(4), changes=changes))
+    assert description.finger_names == ["thumb", "index", "middle", "ring"]
+    assert "one_j2" not in description.joint_names
+    notes = "\n".join(notes)
     assert "each moves 2 fingers at once: 'one_j2'" in notes and "names identify only the thumb" in notes
-    Hand(proposal.description).kinematics()
+    Hand(description).kinematics()
 
 
 @pytest.mark.parametrize(
@@ -232,7 +232,7 @@ def test_models_that_cannot_be_used_are_refused(kind, change, message, tmp_path)
 def test_on_the_arm_only_listed_joints_are_commanded(kind, tmp_path):
     """A replayed glove moves a described hand in the shipped scenario; followers follow without motors."""
     model = write_hand(tmp_path, HandSpec(4, kind))
-    write_description(propose(model).description, tmp_path / "mine.yaml")
+    write_description(propose(model)[0], tmp_path / "mine.yaml")
     hand = Hand(tmp_path / "mine.yaml")
     retarget = Constant(hand, 0.5 * (hand.lower + hand.upper))
     scenario = load_scenario(hand=str(tmp_path / "mine.yaml"))

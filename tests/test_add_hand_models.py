@@ -63,8 +63,8 @@ def reach(hand: Hand, link: str, role: Role) -> np.ndarray:
 def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
     """Collision geometry is as large as the visual geometry; the checks then find no fault."""
     model = drawn_alone(tmp_path, kind)
-    assert "--hulls" in examine(Hand(propose(model).description))[0]
-    description = propose(model, hulls=True).description
+    assert "--hulls" in examine(Hand(propose(model)[0]))[0]
+    description = propose(model, hulls=True)[0]
     drawn = ["palm", *(f"{f}_l{n}" for f in ("thumb", "index", "middle") for n in range(4))]
     bare = {"thumb_l0", "thumb_l3", "index_l0", "middle_l0"}
     assert set(description.collide_as_drawn) == set(drawn) - bare | ({"nail"} if kind in PARTS else set())
@@ -73,7 +73,7 @@ def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
         found, wanted = (reach(hand, link, role) for role in (Role.kProximity, Role.kIllustration))
         np.testing.assert_allclose(found, wanted, atol=1e-6)
     assert not any("without collision" in text or "no collision" in text for text in examine(hand))
-    assert not propose(write_hand(tmp_path, HandSpec(3, kind)), hulls=True).description.collide_as_drawn
+    assert not propose(write_hand(tmp_path, HandSpec(3, kind)), hulls=True)[0].collide_as_drawn
 
 
 # A box off its mesh's origin, longer along z than along y, m.
@@ -157,7 +157,7 @@ def test_a_hull_replaces_a_mesh(kind, name, tmp_path):
         assert [note[:25] for note in notes] == ["the .glb meshes have z up"] * (name == "z_up.glb")
         model = (tmp_path / "copy").rename(tmp_path / "moved") / model.name
         assert unreadable_meshes(model) == []
-    hand = Hand(propose(model).description)
+    hand = Hand(propose(model)[0])
     assert len(hand.plant.GetCollisionGeometriesForBody(hand.plant.GetBodyByName("palm"))) == 1
     bounds = [CORNERS.min(axis=0), CORNERS.max(axis=0)]
     np.testing.assert_allclose(reach(hand, "palm", Role.kProximity), bounds, atol=1e-6)
@@ -172,7 +172,7 @@ def test_meshes_get_the_normals_that_drakes_renderers_require(kind, tmp_path):
         model = convert_model(model, tmp_path / "copy", [])
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
     scene_graph.AddRenderer("vtk", MakeRenderEngineVtk(RenderEngineVtkParams()))
-    parse_model(plant, model, "model")
+    parse_model(plant, model)
     inspector = scene_graph.model_inspector()
     shapes = [inspector.GetShape(id) for id in inspector.GetAllGeometryIds(Role.kIllustration)]
     assert any(isinstance(shape, Mesh) for shape in shapes)
@@ -182,10 +182,9 @@ def test_hulls_that_overlap_near_a_joint_are_ignored_and_told(tmp_path):
     """The hull of the palm reaches beyond the knuckles, where it blocks links that it should not touch."""
     model = _with_mesh(tmp_path, "urdf", "palm.stl")
     model.write_text(model.read_text().replace('palm.stl"', 'palm.stl" scale="1 1 2"'))
-    proposal = propose(convert_model(model, tmp_path / "copy", []))
-    description = proposal.description
+    description, notes = propose(convert_model(model, tmp_path / "copy", []))
     assert description.ignored_collisions == [["middle_l1", "palm"]]
-    assert "overlapping shapes are ignored: 'middle_l1' and 'palm'" in "\n".join(proposal.notes)
+    assert "overlapping shapes are ignored: 'middle_l1' and 'palm'" in "\n".join(notes)
     assert not any("touch in" in fault for fault in examine(Hand(description)))
     description.ignored_collisions = []
     assert any("touch in" in fault for fault in examine(Hand(description)))
@@ -197,7 +196,7 @@ def test_training_and_guard_see_the_hulls_that_drake_sees(tmp_path):
     side = ((-0.022, 0), (-0.022, 0.08), (0.07, 0))
     wedge = np.array([[x, y, z] for y in (-0.033, 0.033) for x, z in side])
     trimesh.convex.convex_hull(wedge).export(tmp_path / "parts" / "palm.stl")
-    hand = Hand(propose(convert_model(model, tmp_path / "copy", [])).description)
+    hand = Hand(propose(convert_model(model, tmp_path / "copy", []))[0])
     shapes, q = collision_shapes(hand), hand.sample(500, seed=1)
     collides = hand.collides_beyond_tips(q)
 
@@ -251,7 +250,7 @@ MASS = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
 
 def in_drake(path: Path):
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    hand = parse_model(plant, path, "model")
+    hand = parse_model(plant, path)
     detach_from_world(plant, hand)
     plant.Finalize()
     return plant, scene_graph, hand
@@ -384,7 +383,7 @@ def test_ignored_parts_are_named(tmp_path):
         '(<body name="index_l3".*?>)': r'\1<site name="two"/>',
     }
     model = write_hand(tmp_path, HandSpec(3, "xml"), changes={"</mujoco>": f"{more}</mujoco>", **sites})
-    notes = " ".join(propose(model).notes)
+    notes = " ".join(propose(model)[1])
     assert "move independently: 'rope'" in notes and "closed loop at 'index_l3' and 'middle_l3'" in notes
 
 
@@ -452,7 +451,7 @@ def test_the_named_palm_of_a_robot_is_described(tmp_path, side):
 
 def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
     """An arm that carries all fingers, or a joint of the palm that carries two of four."""
-    names = propose(_robot(tmp_path, 7, hands=("right",))).description.finger_names
+    names = propose(_robot(tmp_path, 7, hands=("right",)))[0].finger_names
     assert names == ["thumb", "index", "middle"]
     fold = (
         f'<link name="fold">{INERTIAL}</link><joint name="fold" type="revolute"><parent link="palm"/>'
@@ -460,9 +459,9 @@ def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
         "</joint></robot>"
     )
     changes = {r'(<joint name="(middle|ring)_j0".*?<parent link=")palm': r"\1fold", "</robot>": fold}
-    proposal = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes))
-    assert proposal.description.finger_names == ["thumb", "index", "middle", "ring"]
-    assert "as each moves 2 fingers at once: 'fold'" in "\n".join(proposal.notes)
+    description, notes = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes))
+    assert description.finger_names == ["thumb", "index", "middle", "ring"]
+    assert "as each moves 2 fingers at once: 'fold'" in "\n".join(notes)
 
 
 def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
@@ -479,7 +478,7 @@ def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
     with pytest.raises(HandError, match=r"more than one hand: .* 'left_palm', 'right_palm'; give the palm"):
         propose(model)
     for side, fingers in (("left", 4), ("right", 3)):
-        description = propose(model, palm=f"{side}_palm").description
+        description = propose(model, palm=f"{side}_palm")[0]
         assert (description.side, len(description.fingers)) == (side, fingers)
         assert {joint.partition("_")[0] for joint in description.joint_names} == {side}
         assert "fall freely" in " ".join(examine(Hand(description)))

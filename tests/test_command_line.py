@@ -247,7 +247,7 @@ def inputs(light_desk, play):
     train_lightly("allegro_right", play, folder / "map.safetensors")
     changes = {"(?s)<inertial>.*?</inertial>": ""}
     weightless = write_hand(folder, HandSpec(4, mimic=False), "weightless", changes)
-    write_description(propose(weightless).description, folder / "weightless.yaml")
+    write_description(propose(weightless)[0], folder / "weightless.yaml")
     (folder / "run").mkdir()
     (folder / "run" / "results.json").write_text("{}")
     return folder

@@ -132,13 +132,13 @@ def assert_upright(description: HandDescription, side: str) -> None:
 @pytest.mark.parametrize("offset", [-0.011, 0.0, 0.011, 0.02])
 def test_the_base_does_not_depend_on_where_spread_joints_lie(side, offset, tmp_path):
     """Bent fingers reach farther from a spread joint behind the mcp joint than straight ones do."""
-    assert_upright(propose(write_urdf(tmp_path, side, offset)).description, side)
+    assert_upright(propose(write_urdf(tmp_path, side, offset))[0], side)
 
 
 @pytest.mark.parametrize("leader", ["mcp", "pip"])
 def test_the_base_does_not_depend_on_which_joint_leads(leader, tmp_path):
     """The side, and the fingers' reach, are the same whether mcp or pip has the motor."""
-    hand = Hand(propose(write_urdf(tmp_path, leader=leader)).description)
+    hand = Hand(propose(write_urdf(tmp_path, leader=leader))[0])
     assert_upright(hand.description, "left")
     reach = hand.fingertips(np.zeros(len(hand.joint_names)))[1:, 2].max()
     p_BK = hand.kinematics().fingers[1].X_PJ[0, 2, 3]
@@ -161,7 +161,7 @@ def test_the_base_does_not_depend_on_which_joint_leads(leader, tmp_path):
 )
 def test_a_turned_base_is_named(turn, finding, tmp_path):
     """Fingers must point to +z and bend to +x; before the turn there is no such finding."""
-    description = propose(write_urdf(tmp_path)).description
+    description = propose(write_urdf(tmp_path))[0]
     assert "of the hand base" not in "\n".join(examine(Hand(description)))
     description.base_pose.rpy_deg = list(map(float, turn))
     found = "\n".join(examine(Hand(description)))
@@ -175,8 +175,8 @@ def test_couplings_are_in_deviations_from_references(tmp_path):
     assert {c.joint: (c.ratio, c.offset) for c in couplings}["index_pip"] == pytest.approx(
         (0.7, 0.1 + 0.7 * 0.35)
     )
-    assert_upright(propose(model).description, "right")
-    hand = Hand(propose(model).description)
+    assert_upright(propose(model)[0], "right")
+    hand = Hand(propose(model)[0])
     m = mujoco.MjModel.from_xml_path(str(model))
     data = mujoco.MjData(m)
     for q in hand.sample(5):
@@ -194,7 +194,7 @@ def test_couplings_are_in_deviations_from_references(tmp_path):
 
 def test_the_world_may_be_the_palm(tmp_path):
     """MuJoCo's conversion of a URDF fuses the base into the world; its geoms are then the palm's."""
-    hand = Hand(propose(write_mjcf(tmp_path, palm=False)).description)
+    hand = Hand(propose(write_mjcf(tmp_path, palm=False))[0])
     assert_upright(hand.description, "right")
     assert hand.description.base_pose.relative_to == "worldbody"
     assert hand.plant.GetCollisionGeometriesForBody(hand.plant.GetBodyByName("worldbody"))
@@ -221,7 +221,7 @@ def test_a_package_is_known_by_its_package_xml(inner, tmp_path):
         ):
             propose(model)
     (folder / "package.xml").write_text("<package>\n  <name> my_hand </name>\n</package>")
-    assert_upright(propose(model).description, "left")
+    assert_upright(propose(model)[0], "left")
 
 
 @pytest.mark.parametrize(
@@ -246,8 +246,8 @@ def test_unusable_values_are_named(old, new, message, tmp_path):
 
 def test_a_tip_far_from_its_finger_is_found(tmp_path):
     """Collision geometry beside the finger, as of a mesh that was exported in another frame."""
-    assert "the tip of" not in "\n".join(examine(Hand(propose(write_mjcf(tmp_path)).description)))
-    description = propose(write_mjcf(tmp_path, thumb_geom="-0.05 0.1 -0.05")).description
+    assert "the tip of" not in "\n".join(examine(Hand(propose(write_mjcf(tmp_path))[0])))
+    description = propose(write_mjcf(tmp_path, thumb_geom="-0.05 0.1 -0.05"))[0]
     found = "\n".join(examine(Hand(description)))
     assert "the tip of thumb lies 122 mm from its last joint 'thumb_pip'" in found
     assert "mm beside the visual geometry of 'thumb_2', which joint 'thumb_pip' moves" in found
@@ -259,9 +259,9 @@ def test_a_velocity_limit_of_zero_counts_as_unknown(tmp_path):
     model = write_urdf(tmp_path)
     head, _, tail = model.read_text().partition(joint)
     model.write_text(head + joint + tail.replace('effort="1" velocity="5"', 'effort="0" velocity="0"', 1))
-    proposal = propose(model)
-    assert "the velocity limit 0 of joint 'middle_mcp' counts as unknown" in "\n".join(proposal.notes)
-    joint = Hand(proposal.description).plant.GetJointByName("middle_mcp")
+    description, notes = propose(model)
+    assert "the velocity limit 0 of joint 'middle_mcp' counts as unknown" in "\n".join(notes)
+    joint = Hand(description).plant.GetJointByName("middle_mcp")
     assert joint.velocity_upper_limit() == np.inf
 
 

@@ -193,7 +193,7 @@ def test_the_digest_covers_meshes_and_included_files(kind, tmp_path):
         inner.write_text(f"<mujoco>{text[begin:end]}</mujoco>")
         outer.write_text(text[:begin] + '<include file="parts/inner.xml"/>' + text[end:])
         change = ('kp="1"', 'kp="2"')
-    write_description(propose(outer).description, folder / "hand.yaml")
+    write_description(propose(outer)[0], folder / "hand.yaml")
     digest = Hand(folder / "hand.yaml").digest
     (parts / "other.obj").write_text("o unused")
     shutil.copytree(folder, tmp_path / "elsewhere")
@@ -206,7 +206,7 @@ def test_the_digest_covers_meshes_and_included_files(kind, tmp_path):
 @pytest.fixture
 def description(tmp_path) -> HandDescription:
     """Three fingers; one motor of the index moves three links, two of them followers."""
-    hand = propose(write_hand(tmp_path, HandSpec(3))).description
+    hand = propose(write_hand(tmp_path, HandSpec(3)))[0]
     hand.fingers[1].joints.remove("index_j2")
     hand.couplings.append(CouplingDescription("index_j2", "index_j1", 0.5))
     return hand

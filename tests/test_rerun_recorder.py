@@ -16,7 +16,8 @@ from geort_drake import CloseUpSpec, PointsSpec, SignalSpec, StateSpec, add_reru
 from geort_drake.errors import OutputError
 from geort_drake.live.transports import wait_for
 from geort_drake.rerun import RerunRecorder, recorder
-from geort_drake.rerun.layout import Layout
+from geort_drake.rerun import recorder as recorder_module
+from geort_drake.rerun.layout import default_layout
 
 
 def test_poses_in_the_file_are_those_of_the_plant(tmp_path):
@@ -232,15 +233,15 @@ def views_of(part, page=""):
 @pytest.fixture
 def laid_out(monkeypatch):
     """Page and view of each title of the default layout, once it has been made."""
-    found, make = {}, Layout.blueprint
+    views = {}
 
-    def blueprint(self, specs, rows):
-        made = make(self, specs, rows)
-        found.update({view.name: (page, view) for page, view in views_of(made.root_container)})
-        return made
+    def layout(*arguments):
+        blueprint = default_layout(*arguments)
+        views.update({view.name: (page, view) for page, view in views_of(blueprint.root_container)})
+        return blueprint
 
-    monkeypatch.setattr(Layout, "blueprint", blueprint)
-    return found
+    monkeypatch.setattr(recorder_module, "default_layout", layout)
+    return views
 
 
 def test_plots_are_named_with_their_unit_and_are_on_pages(tmp_path, laid_out):

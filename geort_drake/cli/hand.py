@@ -109,12 +109,10 @@ class AddHand(Command):
         if meshes:
             model = convert_model(source, path.with_name(f"{path.stem}_model"), notes)
             notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
-        proposal = propose(model, name, self.palm, self.hulls)
-        notes += proposal.notes
-        write_description(
-            proposal.description, path, [f"Made by geort-drake hand add from {source.name}.", *notes]
-        )
-        return path, proposal.description, notes
+        description, guesses = propose(model, name, self.palm, self.hulls)
+        notes += guesses
+        write_description(description, path, [f"Made by geort-drake hand add from {source.name}.", *notes])
+        return path, description, notes
 
 
 @options

@@ -24,7 +24,7 @@ from geort_drake.cli.base import (
     view,
     write_json,
 )
-from geort_drake.errors import RecordingError, UsageError
+from geort_drake.errors import RecordingError, UsageError, naming
 
 if TYPE_CHECKING:
     from geort_drake import Recording
@@ -232,10 +232,8 @@ class SynthesizeRecording(Command):
         hand = None
         if self.hand_of is not None:
             person = read_recording(self.hand_of, self.side)
-            try:
+            with naming(self.hand_of, RecordingError):
                 hand = HumanHand.fit(person)
-            except RecordingError as error:
-                raise RecordingError(f"{self.hand_of}: {error}") from error
         recording = examine(synthesize_play(self.seed, self.duration, rate, hand, side=self.side))
         recording.save(self.output)
         for sentence in recording.metadata["warnings"]:

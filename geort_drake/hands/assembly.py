@@ -25,6 +25,7 @@ from pydrake.multibody.tree import (
     Frame,
     Joint,
     ModelInstanceIndex,
+    MultibodyConstraintId,
     PdControllerGains,
     PrismaticJoint,
     RevoluteJoint,
@@ -32,7 +33,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, naming
 from geort_drake.hands.description import HandDescription, load_hand, resolved_couplings
 from geort_drake.hands.mjcf import add_mjcf
 from geort_drake.hands.model_files import check_values, find_package, read_model
@@ -63,22 +64,39 @@ def add_hand_model(
     if plant.is_finalized():
         raise HandError(f"hand '{description.name}' cannot be added to a plant that is finalized")
     path = find_model(description)
-    source = f"hand '{description.name}' with model {path}"
     constraints, surroundings = set(plant.GetConstraintIds()), set(_world_geometries(plant))
-    hand = parse_model(plant, path, source)
+    hand = parse_model(plant, path)
     if name is not None:
         plant.RenameModelInstance(hand, name)
+    with naming(f"hand '{description.name}' with model {path}", HandError):
+        _apply_description(plant, hand, description, set(plant.GetConstraintIds()) - constraints)
+    # The hand must not collide with a floor in its own model file.
+    if added := set(_world_geometries(plant)) - surroundings:
+        bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
+        own = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
+        filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(added)), GeometrySet(own))
+        Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
+    return hand
+
+
+def _apply_description(
+    plant: MultibodyPlant,
+    hand: ModelInstanceIndex,
+    description: HandDescription,
+    constraints: Iterable[MultibodyConstraintId],
+) -> None:
+    """Changes a model to what its description says; `constraints` are the model's own."""
     # Drake cannot remove joints while there are constraints. Couplings are added again below.
-    for constraint in set(plant.GetConstraintIds()) - constraints:
+    for constraint in constraints:
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
     for joint in _joints(plant, hand):
         # Exporters write 0 for a speed that they do not know.
         if joint.num_velocities() == 1 and not joint.velocity_upper_limits()[0] > 0:
             joint.set_velocity_limits([-np.inf], [np.inf])
-    _add_base(plant, hand, description, source)
-    _add_drawn_collisions(plant, hand, description, source)
-    _set_default_positions(plant, hand, description, source)
+    _add_base(plant, hand, description)
+    _add_drawn_collisions(plant, hand, description)
+    _set_default_positions(plant, hand, description)
     couplings = description.followers
     moving = {*description.joint_names, *(coupling.joint for coupling in couplings)}
     for joint in _joints(plant, hand):
@@ -89,17 +107,10 @@ def add_hand_model(
         for coupling in couplings:
             joints = [plant.GetJointByName(name, hand) for name in (coupling.joint, coupling.follows)]
             plant.AddCouplerConstraint(*joints, coupling.ratio, coupling.offset)
-    _filter_collisions(plant, hand, description, source)
-    # The hand must not collide with a floor in its own model file.
-    if added := set(_world_geometries(plant)) - surroundings:
-        bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
-        own = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
-        filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(added)), GeometrySet(own))
-        Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
-    return hand
+    _filter_collisions(plant, hand, description)
 
 
-def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstanceIndex:
+def parse_model(plant: MultibodyPlant, path: Path) -> ModelInstanceIndex:
     """Adds the only model of a file; searches its packages in the folders above it.
 
     Raises:
@@ -109,7 +120,8 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
     parser = Parser(plant)
     if tree.tag == "mujoco":
         return add_mjcf(plant, parser.scene_graph(), path)
-    check_values(tree, source)
+    with naming(f"model {path}", HandError):
+        check_values(tree)
     parser.SetAutoRenaming(True)  # several hands of one model
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
@@ -119,7 +131,7 @@ def parse_model(plant: MultibodyPlant, path: Path, source: str) -> ModelInstance
     try:
         (hand,) = add_models(parser, path)
     except (RuntimeError, ValueError, SystemExit) as error:  # failed assertions in Drake exit
-        raise HandError(f"{source}: not a single readable model: {error}") from error
+        raise HandError(f"model {path}: not a single readable model: {error}") from error
     return hand
 
 
@@ -156,24 +168,24 @@ def remove_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, root: Context
             scene_graph.RemoveGeometry(context, plant.get_source_id(), geometry)
 
 
-def require_name(source: str, field: str, kind: str, name: str, choices: Iterable[str]) -> None:
+def require_name(field: str, kind: str, name: str, choices: Iterable[str]) -> None:
     """Raises HandError, with the choices, unless a name given in a field is among them."""
     listed = [choice for choice in choices if choice]
     if name not in listed:
         raise HandError(
-            f"{source}: {field} names the {kind} '{name}', which the model lacks; "
+            f"{field} names the {kind} '{name}', which the model lacks; "
             f"choose one of: {', '.join(listed) or 'none'}"
         )
 
 
-def find_frame(plant: MultibodyPlant, hand: ModelInstanceIndex, name: str, source: str, field: str) -> Frame:
+def find_frame(plant: MultibodyPlant, hand: ModelInstanceIndex, name: str, field: str) -> Frame:
     """Returns the frame or link of a hand that a field of its description names.
 
     Raises:
         HandError: the hand has no frame or link of this name.
     """
     frames = [plant.get_frame(index).name() for index in plant.GetFrameIndices(hand)]
-    require_name(source, field, "frame or link", name, frames)
+    require_name(field, "frame or link", name, frames)
     return plant.GetFrameByName(name, hand)
 
 
@@ -185,16 +197,14 @@ def _joints(plant: MultibodyPlant, hand: ModelInstanceIndex) -> list[Joint]:
     return [plant.get_joint(index) for index in plant.GetJointIndices(hand)]
 
 
-def _add_base(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
-) -> None:
+def _add_base(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription) -> None:
     base = description.base_pose
     if not base.relative_to:
         return
-    frame = find_frame(plant, hand, base.relative_to, source, "base_pose.relative_to")
+    frame = find_frame(plant, hand, base.relative_to, "base_pose.relative_to")
     if plant.HasFrameNamed(description.base_frame, hand):
         raise HandError(
-            f"{source}: base_frame '{description.base_frame}' is a frame of the model, so base_pose must be "
+            f"base_frame '{description.base_frame}' is a frame of the model, so base_pose must be "
             "left out; or give base_frame a new name"
         )
     X = RigidTransform(RollPitchYaw(np.deg2rad(base.rpy_deg)), base.translation)
@@ -202,12 +212,12 @@ def _add_base(
 
 
 def _add_drawn_collisions(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
+    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription
 ) -> None:
     """Gives the links of `collide_as_drawn` their visual geometry as collision geometry."""
     names = [plant.get_body(index).name() for index in plant.GetBodyIndices(hand)]
     for name in description.collide_as_drawn:
-        require_name(source, "collide_as_drawn", "link", name, names)
+        require_name("collide_as_drawn", "link", name, names)
         link, inspector = plant.GetBodyByName(name, hand), Parser(plant).scene_graph().model_inspector()
         frame = plant.GetBodyFrameIdOrThrow(link.index())
         for number, id in enumerate(inspector.GetGeometries(frame, Role.kIllustration)):
@@ -219,15 +229,15 @@ def _add_drawn_collisions(
 
 
 def _set_default_positions(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
+    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription
 ) -> None:
     """Sets the description's default positions, and matching ones of followers."""
     for name, position in description.default_positions.items():
-        _axial_joint(plant, hand, name, source, "default_positions").set_default_positions([position])
+        _axial_joint(plant, hand, name, "default_positions").set_default_positions([position])
     for coupling in resolved_couplings(description.couplings):
         field = f"couplings.{coupling.joint}"
-        position = _axial_joint(plant, hand, coupling.follows, source, field).default_positions()[0]
-        follower = _axial_joint(plant, hand, coupling.joint, source, field)
+        position = _axial_joint(plant, hand, coupling.follows, field).default_positions()[0]
+        follower = _axial_joint(plant, hand, coupling.joint, field)
         follower.set_default_positions([coupling.ratio * position + coupling.offset])
 
 
@@ -311,23 +321,19 @@ def _remove_actuators(plant: MultibodyPlant, joint: Joint) -> None:
             plant.RemoveJointActuator(actuator)
 
 
-def _axial_joint(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, name: str, source: str, field: str
-) -> Joint:
+def _axial_joint(plant: MultibodyPlant, hand: ModelInstanceIndex, name: str, field: str) -> Joint:
     """Returns a joint with a single position."""
     choices = [joint.name() for joint in _joints(plant, hand) if joint.num_positions() == 1]
-    require_name(source, field, "revolute or prismatic joint", name, choices)
+    require_name(field, "revolute or prismatic joint", name, choices)
     return plant.GetJointByName(name, hand)
 
 
-def _filter_collisions(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription, source: str
-) -> None:
+def _filter_collisions(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription) -> None:
     names = [plant.get_body(index).name() for index in plant.GetBodyIndices(hand)]
     filters = CollisionFilterDeclaration()
     for pair in description.ignored_collisions:
         for link in pair:
-            require_name(source, "ignored_collisions", "link", link, names)
+            require_name("ignored_collisions", "link", link, names)
         links = [plant.GetBodyByName(link, hand) for link in pair]
         filters.ExcludeBetween(*(GeometrySet(plant.GetCollisionGeometriesForBody(link)) for link in links))
     if description.ignored_collisions:

@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
-from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.errors import HandError, UnknownNameError, naming
 from geort_drake.files import write_text
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import SIDES
@@ -291,10 +291,8 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
         hand = yaml_load_typed(schema=HandDescription, filename=str(path))
     except Exception as error:  # the loader raises RuntimeError, YAMLError, TypeError, ValueError, ...
         raise HandError(f"the hand description {path} is malformed: {fault_of(error)}") from error
-    try:
+    with naming(path, HandError):
         hand.validate()
-    except HandError as error:
-        raise HandError(f"{path}: {error}") from error
     if not hand.model.startswith("package://"):
         hand.model = str(path.resolve().parent / hand.model)  # an absolute model path replaces the parent
     return hand

@@ -16,7 +16,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import Frame, RevoluteJoint
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, naming
 from geort_drake.hands.assembly import (
     add_hand_model,
     find_frame,
@@ -59,7 +59,7 @@ class Hand:
         self.description = description = load_hand(hand)
         description.validate()
         path = find_model(description)
-        self._source = f"hand '{description.name}' with model {path}"
+        self._what = f"hand '{description.name}' with model {path}"  # for error messages
         builder = DiagramBuilder()
         # Actuators with controller gains need a discrete plant; it is never stepped.
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
@@ -70,25 +70,26 @@ class Hand:
             files = model_files(self.plant, self.scene_graph.model_inspector(), self.instance, path)
             model_sha256 = digest_of_contents(files)
         self.digest = _digest(description, model_sha256)
-        self._base = self._frame(description.base_frame, "base_frame")
-        self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
-        self.plant.WeldFrames(self.plant.world_frame(), self._base)
-        self.couplings = JointCouplings(description)
-        followers = [self._joint(name, "couplings") for name in self.couplings.names]
-        joints = [
-            self._joint(name, f"fingers.{finger.name}.joints")
-            for finger in description.fingers
-            for name in finger.joints
-        ]
-        for joint in joints:
-            self._check_range(joint)
-        self.lower, self.upper = position_limits(self.plant, description, self.instance, self._source)
+        with naming(self._what, HandError):
+            self._base = self._frame(description.base_frame, "base_frame")
+            self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
+            self.plant.WeldFrames(self.plant.world_frame(), self._base)
+            self.couplings = JointCouplings(description)
+            followers = [self._joint(name, "couplings") for name in self.couplings.names]
+            joints = [
+                self._joint(name, f"fingers.{finger.name}.joints")
+                for finger in description.fingers
+                for name in finger.joints
+            ]
+            for joint in joints:
+                self._check_range(joint)
+            for finger in description.fingers:
+                self._frame(finger.tip_link, f"fingers.{finger.name}.tip_link")  # raises an error without one
+            self.lower, self.upper = position_limits(self.plant, description, self.instance)
         self.plant.Finalize()
         self.diagram = builder.Build()
 
         self._order = np.array([joint.position_start() for joint in (*joints, *followers)])
-        for finger in description.fingers:
-            self._frame(finger.tip_link, f"fingers.{finger.name}.tip_link")  # raises HandError without one
         self._fingertips = PlantFingertips(self.plant, description, self.instance, self.joint_names)
         inspector = self.scene_graph.model_inspector()
         tips = tip_geometries(self.plant, inspector, self.instance, description.fingers)
@@ -186,11 +187,13 @@ class Hand:
         Raises:
             HandError: the joints that a finger lists are not those between the hand base and its tip.
         """
-        return HandKinematics(
-            fingers=tuple(
-                finger_chain(self.plant, self._base, finger, self.description, self._source)
+        with naming(self._what, HandError):
+            fingers = tuple(
+                finger_chain(self.plant, self._base, finger, self.description)
                 for finger in self.description.fingers
-            ),
+            )
+        return HandKinematics(
+            fingers=fingers,
             joint_names=tuple(self.joint_names),
             lower=self.lower,
             upper=self.upper,
@@ -227,24 +230,22 @@ class Hand:
         return hits if np.ndim(q) == 2 else hits[0]
 
     def _frame(self, name: str, field: str) -> Frame:
-        return find_frame(self.plant, self.instance, name, self._source, field)
+        return find_frame(self.plant, self.instance, name, field)
 
     def _joint(self, name: str, field: str) -> RevoluteJoint:
         joints = map(self.plant.get_joint, self.plant.GetJointIndices(self.instance))
         choices = [joint.name() for joint in joints if isinstance(joint, RevoluteJoint)]
-        require_name(self._source, field, "revolute joint", name, choices)
+        require_name(field, "revolute joint", name, choices)
         return self.plant.GetJointByName(name, self.instance)
 
     def _check_range(self, joint: RevoluteJoint) -> None:
         low, high = joint.position_lower_limit(), joint.position_upper_limit()
         if not np.isfinite([low, high]).all():
-            raise HandError(
-                f"{self._source}: joint '{joint.name()}' needs position limits; given: [{low:g}, {high:g}]"
-            )
+            raise HandError(f"joint '{joint.name()}' needs position limits; given: [{low:g}, {high:g}]")
         position = joint.get_default_angle()
         if not low <= position <= high:
             raise HandError(
-                f"{self._source}: default_positions.{joint.name()} must be within its limits "
+                f"default_positions.{joint.name()} must be within its limits "
                 f"[{low:g}, {high:g}] rad; given: {position:g}"
             )
 

@@ -77,7 +77,7 @@ def tip_geometries(
 
 
 def position_limits(
-    plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex, source: str
+    plant: MultibodyPlant, description: HandDescription, hand: ModelInstanceIndex
 ) -> tuple[np.ndarray, np.ndarray]:
     """Returns lower and upper limits (n,) of q, rad, within which followers keep their own limits.
 
@@ -85,7 +85,6 @@ def position_limits(
         plant: plant with the hand.
         description: the hand.
         hand: model instance of the hand, from `add_hand_model`.
-        source: beginning of error messages.
 
     Raises:
         HandError: a follower would exceed its limits at every angle of its leader.
@@ -100,7 +99,7 @@ def position_limits(
         lower[leader], upper[leader] = max(lower[leader], low), min(upper[leader], high)
         if not lower[leader] < upper[leader]:
             raise HandError(
-                f"{source}: joint '{c.joint}', which follows '{c.follows}', would exceed its limits "
+                f"joint '{c.joint}', which follows '{c.follows}', would exceed its limits "
                 f"[{ends[0]:g}, {ends[1]:g}] rad at every angle of that joint; correct its coupling or its "
                 "limits"
             )
@@ -152,7 +151,7 @@ class PlantFingertips:
 
 
 def finger_chain(
-    plant: MultibodyPlant, base: Frame, finger: FingerDescription, description: HandDescription, source: str
+    plant: MultibodyPlant, base: Frame, finger: FingerDescription, description: HandDescription
 ) -> FingerChain:
     """Makes the serial chain of a finger, from the hand base to its tip.
 
@@ -161,12 +160,11 @@ def finger_chain(
         base: the hand base B.
         finger: the finger in the description.
         description: the hand.
-        source: beginning of error messages.
 
     Raises:
         HandError: the joints between base and tip are not exactly the finger's and their followers.
     """
-    where = f"{source}: finger '{finger.name}'"
+    where = f"finger '{finger.name}'"
     couplings = {coupling.joint: coupling for coupling in description.followers}
     tip = plant.GetBodyByName(finger.tip_link, base.model_instance())
     moving = [

@@ -137,12 +137,11 @@ def included_files(model: Path, main: Path | None = None) -> list[Path]:
     return found
 
 
-def check_values(tree: ET.Element, source: str) -> None:
+def check_values(tree: ET.Element) -> None:
     """Rejects what Drake would replace silently, or refuse without naming the place.
 
     Args:
         tree: the XML of a URDF or SDF file.
-        source: beginning of error messages.
 
     Raises:
         HandError: two links or two joints have one name; limits are swapped; a joint follows another by a
@@ -154,11 +153,11 @@ def check_values(tree: ET.Element, source: str) -> None:
             names = Counter(element.get("name", "") for element in model.findall(kind))
             for name, count in names.items():
                 if count > 1:
-                    raise HandError(f"{source}: {count} {kind}s are called '{name}'; each needs its own name")
+                    raise HandError(f"{count} {kind}s are called '{name}'; each needs its own name")
         for link in model.findall("link"):
-            _check_inertia(link, source)
+            _check_inertia(link)
         for joint in model.findall("joint"):
-            where = f"{source}: joint '{joint.get('name', '')}'"
+            where = f"joint '{joint.get('name', '')}'"
             for limit in joint.iter("limit"):
                 low, high = (_number(limit, end, 0.0, where) for end in ("lower", "upper"))
                 if low > high:
@@ -173,9 +172,9 @@ def check_values(tree: ET.Element, source: str) -> None:
                     )
 
 
-def _check_inertia(link: ET.Element, source: str) -> None:
+def _check_inertia(link: ET.Element) -> None:
     """Checks the inertia of a link; its numbers are attributes in URDF and texts in SDF."""
-    where = f"{source}: link '{link.get('name', '')}'"
+    where = f"link '{link.get('name', '')}'"
     for element in link.iterfind("inertial//*"):
         for name, text in {**element.attrib, element.tag: element.get("value") or element.text}.items():
             if name not in _INERTIA:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from geort_drake.errors import MismatchError, RecordingError
+from geort_drake.errors import MismatchError, RecordingError, naming
 from geort_drake.people.coverage import pinch_distances
 from geort_drake.people.keypoints import (
     BONES,
@@ -91,7 +91,7 @@ def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> No
     p = p[np.isfinite(p).all(axis=(1, 2))]
     if not len(p):
         raise RecordingError(f"{name}: no frame has finite keypoints")
-    try:
+    with naming(name, RecordingError):
         _require_order(p)
         _require_size(p)
         off = float(np.nanmedian(np.linalg.norm(to_wrist_frame(p) - p, axis=-1).max(axis=1)))
@@ -101,8 +101,6 @@ def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> No
                 f"y to the index side), but are off by {1e3 * off:.0f} mm; transform them with "
                 "geort_drake.people.keypoints.to_wrist_frame"
             )
-    except RecordingError as error:
-        raise RecordingError(f"{name}: {error}") from None
     # How fingers bend tells less in a single frame: straight fingers bend backwards.
     behind = -float(np.median(p[:, _THUMB_MCP, 0]))
     if behind > _BEHIND_M or _mean_bending(p) < -_BACKWARDS_SINE:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.errors import RecordingError, UnknownNameError
+from geort_drake.errors import RecordingError, UnknownNameError, naming
 from geort_drake.people.checks import UNITS_M, examine, require_wrist_frame_hand, training_faults
 from geort_drake.people.contents import load
 from geort_drake.people.formats import FORMATS, Track
@@ -58,7 +58,7 @@ def read_recording(
         if name is not None and name not in names[kind]:
             raise UnknownNameError(kind, name, names[kind])
     contents = load(path)
-    try:
+    with naming(path, RecordingError):
         is_own = isinstance(contents, dict) and "p_HK" in contents
         if (is_own and format == AUTO) or format == OWN:
             recording = _read_own(contents, side, unit)
@@ -67,8 +67,6 @@ def read_recording(
         recording = examine(recording)
         if training and (faults := training_faults(recording)):
             raise RecordingError("; ".join(faults))
-    except RecordingError as error:
-        raise RecordingError(f"{path}: {error}") from None
     return recording
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from geort_drake.errors import RecordingError
+from geort_drake.errors import RecordingError, naming
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT, mirrored, to_wrist_frame, wrist_pose
 
@@ -155,10 +155,8 @@ class Recording:
             RecordingError: the file is missing, not a recording, or of another convention.
         """
         arrays = load_arrays(path)
-        try:
+        with naming(path, RecordingError):
             return cls.from_arrays(arrays)
-        except RecordingError as error:
-            raise RecordingError(f"{path}: {error}") from None
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Recording":

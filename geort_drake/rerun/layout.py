@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -123,93 +122,94 @@ def _visible_past(seconds: float) -> rrb.VisibleTimeRanges:
     return rrb.VisibleTimeRanges(rrb.VisibleTimeRange(TIMELINE, start=past, end=present))
 
 
-@dataclass(frozen=True)
-class Layout:
+def default_layout(
+    scene: Scene,
+    close_ups: Mapping[str, CloseUpSpec],
+    view_from: np.ndarray,
+    has_text: bool,
+    specs: Mapping[str, Spec],
+    rows: Mapping[str, Sequence],
+) -> rrb.Blueprint:
     """Makes the default layout: views in a row, states below them, plots at the bottom.
 
-    Attributes:
+    Args:
         scene: bodies of the plant.
         close_ups: name → spec of each additional view.
         view_from: direction in W from the scene to the eye.
         has_text: whether a panel shows the recorder's text.
+        specs: what is recorded.
+        rows: key of each spec → the rows that have been sampled.
     """
 
-    scene: Scene
-    close_ups: Mapping[str, CloseUpSpec]
-    view_from: np.ndarray
-    has_text: bool = False
+    def of(kind: type[Spec]) -> dict[str, Any]:
+        return {key: spec for key, spec in specs.items() if isinstance(spec, kind)}
 
-    def blueprint(self, specs: Mapping[str, Spec], rows: Mapping[str, Sequence]) -> rrb.Blueprint:
-        """Makes the layout for the specs and the rows that have been sampled for each."""
+    hands = {key: rows[key] for key in of(HandSpec)}
+    (poses,) = (rows[key] for key in of(Poses))
+    points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
+    trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
+    target, distance = _target_and_distance(poses, hands, scene.reach)
+    eye = target + distance * view_from / np.linalg.norm(view_from)
+    top = [scene_view(eye, target, overrides=trails)]
+    top += [_close_up(scene, name, spec, poses, hands, trails) for name, spec in close_ups.items()]
+    pages = _plots(of(SignalSpec))
+    forces = time_series("contact force [N]", ["/contact/**"], legend="left")
+    pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
+    if has_text:
+        top.append(rrb.TextDocumentView(origin=ABOUT, name="what you see"))
+    bands: list[View] = [rrb.Horizontal(*top)]
+    shares = [_VIEWS]
+    if states := [entity_path(key) for key in of(StateSpec)]:
+        bands.append(rrb.StateTimelineView(origin="/", contents=states, name="phase"))
+        shares.append(lanes_share(len(states), _VIEWS + _PLOTS))
+    tabs = [rrb.Horizontal(*plots, name=page) for page, plots in pages.items()]
+    bands.append(tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0))
+    return blueprint(rrb.Vertical(*bands, row_shares=[*shares, _PLOTS]))
 
-        def of(kind: type[Spec]) -> dict[str, Any]:
-            return {key: spec for key, spec in specs.items() if isinstance(spec, kind)}
 
-        hands = {key: rows[key] for key in of(HandSpec)}
-        (poses,) = (rows[key] for key in of(Poses))
-        points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
-        trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
-        target, eye = self._target_and_eye(poses, hands)
-        top = [scene_view(eye, target, overrides=trails)]
-        top += [self._close_up(name, spec, poses, hands, trails) for name, spec in self.close_ups.items()]
-        pages = _plots(of(SignalSpec))
-        forces = time_series("contact force [N]", ["/contact/**"], legend="left")
-        pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
-        if self.has_text:
-            top.append(rrb.TextDocumentView(origin=ABOUT, name="what you see"))
-        bands: list[View] = [rrb.Horizontal(*top)]
-        shares = [_VIEWS]
-        if states := [entity_path(key) for key in of(StateSpec)]:
-            bands.append(rrb.StateTimelineView(origin="/", contents=states, name="phase"))
-            shares.append(lanes_share(len(states), _VIEWS + _PLOTS))
-        tabs = [rrb.Horizontal(*plots, name=page) for page, plots in pages.items()]
-        bands.append(tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0))
-        return blueprint(rrb.Vertical(*bands, row_shares=[*shares, _PLOTS]))
+def _close_up(
+    scene: Scene,
+    name: str,
+    spec: CloseUpSpec,
+    poses: Sequence[np.ndarray],
+    hands: Mapping[str, Sequence[np.ndarray]],
+    trails: Mapping[str, rrb.VisibleTimeRanges],
+) -> View:
+    # The view turns with the frame that it follows, so it is upright only at the end.
+    eye, target, R_WF = np.asarray(spec.eye, float), np.asarray(spec.target, float), np.eye(3)
+    if isinstance(spec.follows, str):
+        path = entity_path(WORLD, spec.follows)
+        origin, contents = f"{path}/{HAND_FRAME}", f"{path}/**"
+        tracked = (row for row in reversed(hands[spec.follows]) if np.isfinite(row).all())
+        if (row := next(tracked, None)) is not None:
+            R_WF = wrist_pose(row)[0]
+    else:
+        body, X_BF = body_and_pose(spec.follows)
+        origin, contents = scene.paths[body], f"/{WORLD}/**"
+        eye, target = X_BF @ eye, X_BF @ target
+        if body in scene.anchored:
+            R_WF = scene.anchored[body].rotation().matrix()
+        elif poses:
+            R_WF = poses[-1][scene.moving.index(body), :, :3]
+    overrides: dict[str, Any] = dict(trails)
+    for body in spec.see_through:
+        overrides |= scene.translucent_shapes(int(body.index()))
+    return scene_view(eye, target, name, [contents], overrides, origin, R_WF[2])
 
-    def _close_up(
-        self,
-        name: str,
-        spec: CloseUpSpec,
-        poses: Sequence[np.ndarray],
-        hands: Mapping[str, Sequence[np.ndarray]],
-        trails: Mapping[str, rrb.VisibleTimeRanges],
-    ) -> View:
-        # The view turns with the frame that it follows, so it is upright only at the end.
-        eye, target, R_WF = np.asarray(spec.eye, float), np.asarray(spec.target, float), np.eye(3)
-        if isinstance(spec.follows, str):
-            path = entity_path(WORLD, spec.follows)
-            origin, contents = f"{path}/{HAND_FRAME}", f"{path}/**"
-            tracked = (row for row in reversed(hands[spec.follows]) if np.isfinite(row).all())
-            if (row := next(tracked, None)) is not None:
-                R_WF = wrist_pose(row)[0]
-        else:
-            body, X_BF = body_and_pose(spec.follows)
-            origin, contents = self.scene.paths[body], f"/{WORLD}/**"
-            eye, target = X_BF @ eye, X_BF @ target
-            if body in self.scene.anchored:
-                R_WF = self.scene.anchored[body].rotation().matrix()
-            elif poses:
-                R_WF = poses[-1][self.scene.moving.index(body), :, :3]
-        overrides: dict[str, Any] = dict(trails)
-        for body in spec.see_through:
-            overrides |= self.scene.translucent_shapes(int(body.index()))
-        return scene_view(eye, target, name, [contents], overrides, origin, R_WF[2])
 
-    def _target_and_eye(
-        self, poses: Sequence[np.ndarray], hands: Mapping[str, Sequence[np.ndarray]]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Returns target and eye in W, m, for a view of the moving bodies and the hands.
+def _target_and_distance(
+    poses: Sequence[np.ndarray], hands: Mapping[str, Sequence[np.ndarray]], reach: float
+) -> tuple[np.ndarray, float]:
+    """Returns the target in W and the eye's distance from it, m, to see the moving bodies and the hands.
 
-        The outermost two percent of positions are ignored, so that a thrown object does not shrink the rest.
-        """
-        points = [X_WB[..., 3] for X_WB in poses] + [p_WK for rows in hands.values() for p_WK in rows]
-        cloud = np.concatenate([np.empty((0, 3)), *points])
-        cloud = cloud[np.isfinite(cloud).all(axis=1)]
-        low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
-        target = (low + high) / 2
-        # The second bound shows a single large body whole.
-        distance = max(0.17 + 0.78 * float(np.linalg.norm(high - low)), 2.2 * self.scene.reach)
-        return target, target + distance * self.view_from / np.linalg.norm(self.view_from)
+    The outermost two percent of positions are ignored, so that a thrown object does not shrink the rest.
+    """
+    points = [X_WB[..., 3] for X_WB in poses] + [p_WK for rows in hands.values() for p_WK in rows]
+    cloud = np.concatenate([np.empty((0, 3)), *points])
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
+    low, high = np.percentile(cloud, [2, 98], axis=0) if len(cloud) else np.zeros((2, 3))
+    # The second bound shows a single large body whole.
+    return (low + high) / 2, max(0.17 + 0.78 * float(np.linalg.norm(high - low)), 2.2 * reach)
 
 
 def followed_bodies(close_ups: Mapping[str, CloseUpSpec], specs: Mapping[str, Spec]) -> list[int]:

@@ -4,15 +4,18 @@ Samples are kept in memory and written once as columns, which takes far less tim
 body as it moves.
 """
 
+import dataclasses
+import functools
 import hashlib
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import rerun.blueprint as rrb
 from numpy.typing import ArrayLike
 from pydrake.geometry import Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
@@ -20,9 +23,9 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Outp
 
 from geort_drake.errors import OutputError, ScenarioError
 from geort_drake.files import require_writable
-from geort_drake.rerun.layout import VIEW_FROM, Layout, followed_bodies
-from geort_drake.rerun.scene import describe_scene
-from geort_drake.rerun.specs import CloseUpSpec, Contacts, ContactSpec, Poses, Spec
+from geort_drake.rerun.layout import VIEW_FROM, default_layout, followed_bodies
+from geort_drake.rerun.scene import Scene, describe_scene
+from geort_drake.rerun.specs import CloseUpSpec, ContactSpec, Poses, Spec
 from geort_drake.rerun.writer import ABOUT, Property, Viewer, Writer, file_writer, live_writer
 from geort_drake.systems.python_system import PythonSystem
 
@@ -82,7 +85,7 @@ def add_rerun_recorder(
     scene = describe_scene(plant, scene_graph, role, followed_bodies(close_ups or {}, specs or {}))
     recorded: dict[str, Spec] = {
         "body_poses": Poses(scene),
-        "contact_results": Contacts(scene, contact or ContactSpec()),
+        "contact_results": dataclasses.replace(contact or ContactSpec(), scene=scene),
         **(specs or {}),
     }
     exported = plant_ports or {}
@@ -102,7 +105,10 @@ def add_rerun_recorder(
         inputs,
         sources,
         period,
-        Layout(scene, dict(close_ups or {}), np.asarray(view_from, float), bool(text)),
+        scene,
+        functools.partial(
+            default_layout, scene, dict(close_ups or {}), np.asarray(view_from, float), bool(text)
+        ),
         viewers,
         properties or {},
         text,
@@ -144,7 +150,8 @@ class RerunRecorder(PythonSystem):
         inputs: Mapping[str, Sequence[str]],
         sources: Mapping[str, OutputPort],
         period: float,
-        layout: Layout,
+        scene: Scene,
+        layout: Callable[[Mapping[str, Spec], Mapping[str, Sequence]], rrb.Blueprint],
         viewers: Sequence[Viewer],
         properties: Mapping[str, Property],
         text: str,
@@ -153,7 +160,7 @@ class RerunRecorder(PythonSystem):
         self.path = path
         self._name, self._text = path.stem if path else "live", text
         self._specs, self._inputs = dict(specs), dict(inputs)
-        self._layout, self._viewers = layout, list(viewers)
+        self._scene, self._layout, self._viewers = scene, layout, list(viewers)
         self._properties = dict(properties)
         self._samples: list[tuple[float, list]] = []  # increasing times, s, with the rows of all specs
         self._live: Writer | None = None
@@ -214,7 +221,7 @@ class RerunRecorder(PythonSystem):
             self.path,
             name=self._name,
             recording_id=self._digest(),
-            blueprint=self._layout.blueprint(self._specs, self._columns(0)),
+            blueprint=self._layout(self._specs, self._columns(0)),
             properties=self._properties,
         ) as writer:
             self._write(writer, 0)
@@ -231,7 +238,7 @@ class RerunRecorder(PythonSystem):
         if self._live is not None:
             self._live.close()
         self._samples.clear()
-        del self._specs, self._layout  # bodies and frames in them would keep the diagram alive
+        del self._specs, self._scene, self._layout  # bodies and frames in them would keep the diagram alive
 
     def __enter__(self) -> "RerunRecorder":
         return self
@@ -264,7 +271,7 @@ class RerunRecorder(PythonSystem):
         if self._live is None:
             self._live = live_writer(
                 self._viewers,
-                blueprint=self._layout.blueprint(self._specs, self._columns(0)),
+                blueprint=self._layout(self._specs, self._columns(0)),
                 name=self._name,
                 properties=self._properties,
             )
@@ -274,7 +281,7 @@ class RerunRecorder(PythonSystem):
         self._sent, self._sent_at = len(self._samples), time.monotonic()
 
     def _write(self, writer: Writer, first: int) -> None:
-        self._layout.scene.write(writer)
+        self._scene.write(writer)
         if self._text:
             writer.text(ABOUT, self._text)
         writer.at(np.array([now for now, _ in self._samples[first:]]))

@@ -223,22 +223,6 @@ class PointsSpec(Spec):
 
 
 @dataclass(frozen=True)
-class ContactSpec:
-    """Options for recording contact forces.
-
-    Attributes:
-        groups: name → bodies whose contact forces are summed to one time series, such as the links of a
-            finger: {"thumb": [link_12, ...]}. By default each touched moving body has its own.
-        metres_per_newton: length of the arrows per force, m/N.
-        max_length: largest length of the arrows, m.
-    """
-
-    groups: Mapping[str, Sequence[RigidBody]] | None = None
-    metres_per_newton: float = 0.02
-    max_length: float = 0.25
-
-
-@dataclass(frozen=True)
 class Poses(Spec):
     """Records the poses X_WB of all moving bodies, in rows (bodies, 3, 4)."""
 
@@ -265,11 +249,21 @@ class Poses(Spec):
 
 
 @dataclass(frozen=True)
-class Contacts(Spec):
-    """Records contact forces, in rows from `contact_rows`."""
+class ContactSpec(Spec):
+    """Records contact forces, in rows from `contact_rows`.
 
-    scene: Scene
-    options: ContactSpec
+    Attributes:
+        groups: name → bodies whose contact forces are summed to one time series, such as the links of a
+            finger: {"thumb": [link_12, ...]}. By default each touched moving body has its own.
+        metres_per_newton: length of the arrows per force, m/N.
+        max_length: largest length of the arrows, m.
+        scene: the bodies; the recorder gives its own.
+    """
+
+    groups: Mapping[str, Sequence[RigidBody]] | None = None
+    metres_per_newton: float = 0.02
+    max_length: float = 0.25
+    scene: Scene = field(default_factory=lambda: Scene([]))
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
         return {key: plant_port(key)}
@@ -282,9 +276,9 @@ class Contacts(Spec):
         contacts = np.concatenate([np.empty((0, 8)), *rows])
         counts = np.array([len(row) for row in rows], dtype=int)
         force = contacts[:, 5:]
-        arrows = self.options.metres_per_newton * force
+        arrows = self.metres_per_newton * force
         length = np.linalg.norm(arrows, axis=1, keepdims=True)
-        arrows *= np.minimum(1.0, self.options.max_length / np.maximum(length, 1e-12))
+        arrows *= np.minimum(1.0, self.max_length / np.maximum(length, 1e-12))
         # One of the two bodies usually hides one of the two arrows.
         columns = rr.Arrows3D.columns(
             origins=np.repeat(contacts[:, 2:5], 2, axis=0),
@@ -312,8 +306,8 @@ class Contacts(Spec):
         contacts = np.concatenate([np.empty((0, 8)), *rows])
         bodies, magnitude = contacts[:, :2].astype(int), np.linalg.norm(contacts[:, 5:], axis=1)
         sample = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
-        if self.options.groups is not None:
-            for name, members in self.options.groups.items():
+        if self.groups is not None:
+            for name, members in self.groups.items():
                 groups[entity_path(_SERIES, name)] = name, [int(body.index()) for body in members]
         else:
             for i in sorted({*bodies.ravel()} & {*self.scene.moving}):

@@ -18,7 +18,7 @@ from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains,
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
-from geort_drake.errors import HandError, ScenarioError
+from geort_drake.errors import HandError, ScenarioError, naming
 from geort_drake.hands.assembly import add_hand_model, add_models
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.links import position_limits, tip_geometries
@@ -227,7 +227,8 @@ def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDesc
         raise ScenarioError(f"scenario field hand_parent: {error}") from error
     hand = add_hand_model(plant, description, HAND)
     _require_masses(plant, hand, description)
-    limits = position_limits(plant, description, hand, f"hand '{description.name}'")
+    with naming(f"hand '{description.name}'", HandError):
+        limits = position_limits(plant, description, hand)
     for name, lower, upper in zip(description.joint_names, *limits, strict=True):
         plant.GetJointByName(name, hand).set_position_limits([lower], [upper])
     mount = description.mount

@@ -1,6 +1,5 @@
 """Checks a hand description and its model for faults."""
 
-import dataclasses as dc
 import itertools
 from collections import Counter
 
@@ -93,33 +92,15 @@ def _pinches(hand: Hand) -> list[str]:
 
 def nearest_pinch(hand: Hand, number: int) -> float:
     """Finds the smallest distance, m, between the tips of finger 0 and `number`; ignores collisions."""
-    kinematics, coupling = hand.kinematics().uncoupled()
-    fingers = kinematics.fingers[0], kinematics.fingers[number]
-    pair = dc.replace(kinematics, fingers=fingers)
-
-    def tips(q: np.ndarray) -> tuple[np.ndarray, list[np.ndarray]]:
-        X_BJ = pair.joint_poses(q @ coupling.T)
-        ends = [X_BJ[:, finger.joint_indices[-1]] for finger in fingers]
-        return X_BJ, [X[:, :3, :3] @ f.p_tip + X[:, :3, 3] for X, f in zip(ends, fingers, strict=True)]
 
     def offset(q: np.ndarray) -> np.ndarray:
-        _, (thumb, finger) = tips(q[None])
-        return (thumb - finger)[0]
-
-    def jacobian(q: np.ndarray) -> np.ndarray:
-        X_BJ, ends = tips(q[None])
-        J = np.zeros((3, len(kinematics.joint_names)))
-        for sign, finger, p in zip((1, -1), fingers, ends, strict=True):
-            for joint, axis in zip(finger.joint_indices, finger.axes, strict=True):
-                X = X_BJ[0, joint]
-                J[:, joint] += sign * np.cross(X[:3, :3] @ axis, p[0] - X[:3, 3])
-        return J @ coupling
+        p_BF = hand.fingertips(q)
+        return p_BF[..., 0, :] - p_BF[..., number, :]
 
     q = hand.sample(_PINCH_SAMPLES)
-    thumbs, others = tips(q)[1]
-    starts = q[np.argsort(np.linalg.norm(thumbs - others, axis=1))[:_PINCH_STARTS]]
+    starts = q[np.argsort(np.linalg.norm(offset(q), axis=1))[:_PINCH_STARTS]]
     limits = hand.lower, hand.upper
-    found = [least_squares(offset, start, jacobian, limits, xtol=1e-5) for start in starts]
+    found = [least_squares(offset, start, bounds=limits, xtol=1e-5) for start in starts]
     return min(float(np.linalg.norm(each.fun)) for each in found)
 
 

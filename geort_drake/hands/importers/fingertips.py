@@ -1,7 +1,6 @@
-"""Finds the fingertip on the geometry of a finger's last link."""
+"""Describes a finger, with the fingertip on the geometry of its last link."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -21,30 +20,15 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, RigidBody
 
+from geort_drake.hands.description import FingerDescription
 from geort_drake.hands.importers.structure import Chain, HandStructure
+from geort_drake.people.keypoints import TIP_KEYPOINT
 
 # The cross-section of this last fraction of a finger's last link gives the radius, within bounds, m.
 _END_FRACTION = 0.25
 _RADIUS_RANGE = (0.003, 0.016)
 # Without geometry: the tip's distance, relative to the length of the preceding link, and the radius, m.
 _DEFAULT_LENGTH, _DEFAULT_RADIUS = 0.8, 0.008
-
-
-@dataclass(frozen=True)
-class Fingertip:
-    """The centre of the rounded end of a finger.
-
-    Attributes:
-        body: the link that carries the tip.
-        point: (3,) position in the link's frame, m.
-        radius: radius of the contact sphere around the point, m.
-        source: describes to the user the geometry from which the tip was derived.
-    """
-
-    body: RigidBody
-    point: np.ndarray
-    radius: float
-    source: str
 
 
 class Part(NamedTuple):
@@ -57,8 +41,25 @@ class Part(NamedTuple):
     points: np.ndarray
 
 
-def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
-    """Returns the end of a finger's collision geometry, else of its visual geometry, else a guess."""
+def describe_finger(structure: HandStructure, chain: Chain, name: str) -> tuple[FingerDescription, str]:
+    """Describes a finger, whose tip is the centre of its rounded end.
+
+    The tip is the end of the finger's collision geometry, else of its visual geometry, else a guess.
+
+    Returns:
+        The description, and words for the user on the geometry from which the tip was derived.
+    """
+    link, point, radius, source = _find_tip(structure, chain)
+    tip_point = [round(float(value), 5) + 0.0 for value in point]
+    keypoint = TIP_KEYPOINT[name]
+    description = FingerDescription(
+        name, keypoint, chain.joints, link.name(), tip_point, round(float(radius), 5)
+    )
+    return description, source
+
+
+def _find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndarray, float, str]:
+    """Returns a finger's tip: link, point (3,) in its frame, m, radius, m, and words on its origin."""
     plant = structure.plant
     context = plant.CreateDefaultContext()
     X_RJ = [
@@ -73,11 +74,11 @@ def find_fingertip(structure: HandStructure, chain: Chain) -> Fingertip:
     along = next((v for v in offsets if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
     X_RL = plant.EvalBodyPoseInWorld(context, chain.bodies[0])
     point = X_RL.inverse() @ (p_RJ + _DEFAULT_LENGTH * along)
-    return Fingertip(chain.bodies[0], point, _DEFAULT_RADIUS, "the positions of joints alone")
+    return chain.bodies[0], point, _DEFAULT_RADIUS, "the positions of joints alone"
 
 
-def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> Fingertip:
-    """Finds the tip of the geometries that move with the joint at p_RJ (3,), m; parts are in R."""
+def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> tuple[RigidBody, np.ndarray, float, str]:
+    """Finds the tip, as `_find_tip`, of the geometries that move with the joint at p_RJ (3,), m, in R."""
     points = np.concatenate([part.points for part in parts])
     distance = np.linalg.norm(points - p_RJ, axis=1)
     along = (points[distance.argmax()] - p_RJ) / distance.max()
@@ -86,7 +87,7 @@ def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> Fingertip:
     if isinstance(shape, Sphere | Capsule):
         end = np.array([0.0, 0.0, 0.5 * shape.length() if isinstance(shape, Capsule) else 0.0])
         centre = max((X_RG @ end, X_RG @ -end), key=lambda p: float((p - p_RJ) @ along))
-        return Fingertip(body, X_RL.inverse() @ centre, float(shape.radius()), f"a sphere of the {source}")
+        return body, X_RL.inverse() @ centre, shape.radius(), f"a sphere of the {source}"
     depth = (points - p_RJ) @ along
     near = points[depth > (1 - _END_FRACTION) * depth.max()] - p_RJ
     across = near - np.outer(near @ along, along)
@@ -95,7 +96,7 @@ def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> Fingertip:
     radius = float(np.clip(0.5 * (high - low).min(), *_RADIUS_RANGE))
     radius = min(radius, 0.5 * depth.max())
     centre = p_RJ + along * (depth.max() - radius) + axes[:2].T @ (0.5 * (low + high))
-    return Fingertip(body, X_RL.inverse() @ centre, radius, f"the end of the {source}")
+    return body, X_RL.inverse() @ centre, radius, f"the end of the {source}"
 
 
 def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:

@@ -13,14 +13,13 @@ from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
     CouplingDescription,
-    FingerDescription,
     HandDescription,
 )
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.arrangement import arrange
 from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
-from geort_drake.hands.importers.fingertips import Fingertip, find_fingertip, parts_of
-from geort_drake.hands.importers.structure import Chain, HandStructure, read_structure
+from geort_drake.hands.importers.fingertips import describe_finger, parts_of
+from geort_drake.hands.importers.structure import HandStructure, read_structure
 from geort_drake.hands.links import joint_paths, position_limits
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
@@ -37,20 +36,9 @@ _LEFT_MOUNT = (0.0, 0.0, 90.0)
 _GAINS = ActuationDescription(stiffness=1.0, damping=0.1, effort_limit=1.0)
 
 
-@dc.dataclass(frozen=True)
-class Proposal:
-    """A hand description, and notes for its user.
-
-    Attributes:
-        description: the hand, with the absolute path of its model.
-        notes: a sentence on each guess or omission.
-    """
-
-    description: HandDescription
-    notes: list[str]
-
-
-def propose(model: Path, name: str | None = None, palm: str | None = None, hulls: bool = False) -> Proposal:
+def propose(
+    model: Path, name: str | None = None, palm: str | None = None, hulls: bool = False
+) -> tuple[HandDescription, list[str]]:
     """Describes a model as far as it can be read or guessed.
 
     Args:
@@ -59,6 +47,9 @@ def propose(model: Path, name: str | None = None, palm: str | None = None, hulls
         palm: link that carries the fingers; by default the one from which most chains of joints start.
         hulls: whether links without collision geometry collide as they are drawn.
 
+    Returns:
+        The description, with the absolute path of its model, and a sentence on each guess or omission.
+
     Raises:
         HandError: the model cannot be read, or is not one hand with 2 to 5 fingers of revolute joints.
         UnknownNameError: the model has no such link.
@@ -66,13 +57,16 @@ def propose(model: Path, name: str | None = None, palm: str | None = None, hulls
     structure = read_structure(model.resolve(), palm)
     plant = structure.plant
     notes: list[str] = []
-    tips = [find_fingertip(structure, chain) for chain in structure.chains]
+    # With provisional names.
+    described = [
+        describe_finger(structure, *each) for each in zip(structure.chains, FINGER_NAMES, strict=False)
+    ]
     # In the frame R of the root link, with provisional finger names.
     draft = HandDescription(
         name=name or re.sub(r"\W+", "_", model.stem),
         model=str(model.resolve()),
         base_frame=structure.root,
-        fingers=[_describe_finger(*each) for each in zip(FINGER_NAMES, structure.chains, tips, strict=False)],
+        fingers=[finger for finger, _ in described],
         couplings=[
             CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
             for c in structure.couplings
@@ -90,9 +84,9 @@ def propose(model: Path, name: str | None = None, palm: str | None = None, hulls
     hand = Hand(draft)
     names, X_RB, side = arrange(structure, hand, notes)
     guessed: dict[str, list[str]] = {}
-    for tip, label in zip(tips, names, strict=True):
-        if not tip.source.startswith("a sphere"):
-            guessed.setdefault(tip.source, []).append(f"{label} {1e3 * tip.radius:.1f} mm")
+    for (finger, source), label in zip(described, names, strict=True):
+        if not source.startswith("a sphere"):
+            guessed.setdefault(source, []).append(f"{label} {1e3 * finger.tip_radius:.1f} mm")
     notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
     for reason in dict.fromkeys(structure.held.values()):
         joints = listed([f"'{joint}'" for joint, why in structure.held.items() if why == reason])
@@ -111,13 +105,16 @@ def propose(model: Path, name: str | None = None, palm: str | None = None, hulls
         pairs = sorted(overlaps.items(), key=lambda item: item[1])
         texts = [f"'{a}' and '{b}' in {share:.0%} of postures" for (a, b), share in pairs]
         notes.append(f"contacts of links with overlapping shapes are ignored: {listed(texts)}")
-    described = [_describe_finger(*each) for each in zip(names, structure.chains, tips, strict=True)]
+    fingers = [
+        dc.replace(finger, name=label, human_keypoint=TIP_KEYPOINT[label])
+        for (finger, _), label in zip(described, names, strict=True)
+    ]
     description = dc.replace(
         draft,
         side=side,
         base_frame=base,
         base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
-        fingers=sorted(described, key=lambda finger: FINGER_NAMES.index(finger.name)),
+        fingers=sorted(fingers, key=lambda finger: FINGER_NAMES.index(finger.name)),
         ignored_collisions=sorted([a, b] for a, b in overlaps),
         actuation=_actuation(structure, notes),
     )
@@ -131,7 +128,7 @@ def propose(model: Path, name: str | None = None, palm: str | None = None, hulls
         notes.append("no initial posture without self-collision was found")
     elif (start != hand.default_position).any():
         description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
-    return Proposal(description, notes)
+    return description, notes
 
 
 def _links_without_collisions(structure: HandStructure) -> list[str]:
@@ -168,21 +165,10 @@ def _overlaps(hand: Hand) -> dict[tuple[str, str], float]:
     return found
 
 
-def _describe_finger(name: str, chain: Chain, tip: Fingertip) -> FingerDescription:
-    return FingerDescription(
-        name=name,
-        human_keypoint=TIP_KEYPOINT[name],
-        joints=chain.joints,
-        tip_link=tip.body.name(),
-        tip_point=_rounded(tip.point),
-        tip_radius=round(tip.radius, 5),
-    )
-
-
 def _default_positions(structure: HandStructure, description: HandDescription) -> dict[str, float]:
     """Returns positions a tenth of the range inside the limits, for joints whose default is outside, rad."""
     positions = {}
-    limits = position_limits(structure.plant, description, structure.hand, f"model {structure.path}")
+    limits = position_limits(structure.plant, description, structure.hand)
     for name, low, high in zip(description.joint_names, *limits, strict=True):
         start = structure.plant.GetJointByName(name, structure.hand).get_default_angle()
         if not low <= start <= high:

@@ -15,7 +15,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Joint, ModelInstanceIndex, RevoluteJoint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import HandError, UnknownNameError
+from geort_drake.errors import HandError, UnknownNameError, naming
 from geort_drake.hands.assembly import detach_from_world, parse_model
 from geort_drake.hands.description import CouplingDescription, resolved_couplings
 from geort_drake.hands.links import joint_paths
@@ -86,28 +86,35 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
         HandError: the model cannot be loaded, has fewer than two fingers, or is more than one hand.
         UnknownNameError: the model has no such link.
     """
-    source = f"model {path}"
     if not path.is_file():
         raise HandError(f"the model file {path} is missing")
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
-    hand = parse_model(plant, path, source)
+    hand, (couplings, notes) = parse_model(plant, path), read_couplings(path)
+    with naming(f"model {path}", HandError):
+        root, links, chains, held = _find_hand(plant, hand, palm, couplings)
+    return HandStructure(path, plant, scene_graph, hand, root, links, chains, couplings, held, notes)
+
+
+def _find_hand(
+    plant: MultibodyPlant, hand: ModelInstanceIndex, palm: str | None, couplings: list[CouplingDescription]
+) -> tuple[str, list[RigidBody], list[Chain], dict[str, str]]:
+    """Finalizes the plant; returns root, palm, chains and held joints, see `HandStructure`."""
     for constraint in plant.GetConstraintIds():
         plant.RemoveConstraint(constraint)
     detach_from_world(plant, hand)
     all_joints = map(plant.get_joint, plant.GetJointIndices(hand))
     joints = {joint.name(): joint for joint in all_joints if joint.num_positions()}
-    root, groups = _groups(plant, hand, palm, source)
+    root, groups = _groups(plant, hand, palm)
     plant.WeldFrames(plant.world_frame(), root.body_frame())
     plant.Finalize()
     carrier = _palm(groups, palm)
     if palm is None:
-        _require_one_hand(groups, carrier, joints, source)
-    couplings, notes = read_couplings(path)
+        _require_one_hand(groups, carrier, joints)
     for coupling in couplings:
         for name in (coupling.joint, coupling.follows):
             if name not in joints:
                 raise HandError(
-                    f"{source}: joint '{coupling.joint}' follows '{coupling.follows}', but the model has "
+                    f"joint '{coupling.joint}' follows '{coupling.follows}', but the model has "
                     f"no movable joint '{name}'"
                 )
     where = f"its palm, the link '{groups[carrier][0].name()}'"
@@ -115,7 +122,7 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
     longest = sorted(fingers, key=len, reverse=True)
     if len(fingers) > MAX_FINGERS and len(longest[MAX_FINGERS]) == len(longest[MAX_FINGERS - 1]):
         raise HandError(
-            f"{source}: {len(fingers)} chains of joints start at {where}; expected one hand of 2 to "
+            f"{len(fingers)} chains of joints start at {where}; expected one hand of 2 to "
             f"{MAX_FINGERS} fingers"
         )
     fingers = [finger for finger in fingers if finger in longest[:MAX_FINGERS]]
@@ -127,16 +134,16 @@ def read_structure(path: Path, palm: str | None = None) -> HandStructure:
         in_chains = set(itertools.chain(*fingers))
         reasons = "".join(f"; '{name}' {why}" for name, why in held.items() if name in in_chains)
         raise HandError(
-            f"{source}: {len(chains)} chains of movable revolute joints start at {where}; expected a hand "
+            f"{len(chains)} chains of movable revolute joints start at {where}; expected a hand "
             f"of 2 to {MAX_FINGERS} fingers{reasons}"
         )
     carried = Counter(joints[finger[0]].parent_body().index() for finger in fingers)
     links = sorted(groups[carrier], key=lambda body: -carried[body.index()])
-    return HandStructure(path, plant, scene_graph, hand, root.name(), links, chains, couplings, held, notes)
+    return root.name(), links, chains, held
 
 
 def _groups(
-    plant: MultibodyPlant, hand: ModelInstanceIndex, palm: str | None, source: str
+    plant: MultibodyPlant, hand: ModelInstanceIndex, palm: str | None
 ) -> tuple[RigidBody, dict[Group, list[RigidBody]]]:
     """Returns the palm's root link, and all groups of links that it carries, nearest first."""
     by_root: dict[BodyIndex, dict[Group, list[RigidBody]]] = {}
@@ -152,10 +159,10 @@ def _groups(
         return palm in names, len(by_root[root])
 
     if not by_root:
-        raise HandError(f"{source}: the model has no links")
+        raise HandError("the model has no links")
     hands = [g for g in by_root.values() if max(_outgoing_joints(g).values(), default=0) >= _MIN_PALM_CHAINS]
     if palm is None and len(hands) > 1:
-        raise _several_hands(source, [f"'{groups[_palm(groups, None)][0].name()}'" for groups in hands])
+        raise _several_hands([f"'{groups[_palm(groups, None)][0].name()}'" for groups in hands])
     # Anything else in the file, such as an object, has fewer joints than the hand.
     root = max(by_root, key=rank)
     groups = by_root[root]
@@ -178,9 +185,7 @@ def _palm(groups: dict[Group, list[RigidBody]], palm: str | None) -> Group:
     return named[palm]
 
 
-def _require_one_hand(
-    groups: dict[Group, list[RigidBody]], palm: Group, joints: dict[str, Joint], source: str
-) -> None:
+def _require_one_hand(groups: dict[Group, list[RigidBody]], palm: Group, joints: dict[str, Joint]) -> None:
     """Raises HandError for a model of several hands, or with an arm in addition to other chains."""
     outgoing = _outgoing_joints(groups)
     branching = [group for group in groups if outgoing[group] > 1]
@@ -195,12 +200,12 @@ def _require_one_hand(
         starting = [joints[other[-1]] for other in groups if other and other[:-1] == group]
         parents = [joint.parent_body().name() for joint in starting]
         choices.append(f"'{max(parents, key=parents.count)}'")
-    raise _several_hands(source, choices)
+    raise _several_hands(choices)
 
 
-def _several_hands(source: str, palms: list[str]) -> HandError:
+def _several_hands(palms: list[str]) -> HandError:
     return HandError(
-        f"{source}: more than one hand: several chains of joints start at each of {', '.join(palms)}; "
+        f"more than one hand: several chains of joints start at each of {', '.join(palms)}; "
         "give the palm as --palm, or put the hand into a file of its own"
     )
 
