@@ -12,11 +12,9 @@ from geort_drake import load_hand
 from geort_drake.errors import GeortError, LiveError, MismatchError
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import decode as decode_glove
-from geort_drake.live.web.hands import HandReader
+from geort_drake.live.web.hands import HandReader, OneEuroFilter, RecordedHand
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Hello, Reset, decode
-from geort_drake.live.web.one_euro import OneEuroFilter
 from geort_drake.live.web.operator_station import is_fist
-from geort_drake.live.web.virtual_hands import RecordedHand
 from geort_drake.people.keypoints import bone_lengths
 from geort_drake.systems.retargeting_status import HELD_CLOCK, HELD_LOST, HELD_STALE
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING

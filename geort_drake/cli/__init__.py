@@ -34,8 +34,8 @@ GROUPS: dict[str, dict[str, str]] = {
     },
     "train": {"train": "train:Train"},
     "compare": {
-        "evaluate": "evaluate:Evaluate",
-        "explore": "explore:Explore",
+        "evaluate": "compare:Evaluate",
+        "explore": "compare:Explore",
         "benchmark": "benchmark:Benchmark",
     },
     "hands and data": {

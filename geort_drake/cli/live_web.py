@@ -15,10 +15,10 @@ from geort_drake.live.robot_buses import open_bus
 from geort_drake.live.robot_link import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
+from geort_drake.live.web.hands import RecordedHand
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import find_page, open_server
 from geort_drake.live.web.session import Setup, WebTeleoperation
-from geort_drake.live.web.virtual_hands import RecordedHand
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS

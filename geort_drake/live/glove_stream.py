@@ -134,7 +134,7 @@ class GloveStream(PythonSystem):
             return True if len(hands) >= HANDSHAKE_FRAMES else None
 
         wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
-        require_hand(np.stack(hands), self._side)
+        require_wrist_frame_hand(np.stack(hands), "the glove")
 
     def _silence(self, timeout_s: float) -> str:
         refused = f"; {self.refused} messages were refused, the last: {self.last_refusal}"
@@ -183,13 +183,3 @@ class GloveStream(PythonSystem):
         value[_VALID:] = tracked, stamp, sent, lateness
         discrete_state.get_mutable_vector(self._state).SetFromVector(value)
         return EventStatus.Succeeded()
-
-
-def require_hand(points: np.ndarray, side: str) -> None:
-    """Checks that keypoints p_HK (T, 21, 3), m, show a hand of `side`, before anything follows them.
-
-    Raises:
-        RecordingError: the keypoints are no hand, or not in the expected frame, order or unit.
-        MismatchError: the thumb is behind the palm.
-    """
-    require_wrist_frame_hand(points, "the glove")

@@ -1,8 +1,8 @@
 """Tells late frames from frames whose sender's clock runs slow."""
 
-import dataclasses as dc
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ _MAX_DRIFT = 0.15
 _BLOCK_S, _BLOCKS = 0.5, 6
 
 
-@dc.dataclass(frozen=True)
-class _Block:
+class _Block(NamedTuple):
     """Half a second of frames: the delay of the fastest, the number of frames, and the offset at the end."""
 
     fastest: float

@@ -30,10 +30,10 @@ class Table(NamedTuple):
 
 def load(path: Path) -> Any:
     """Returns a file's contents by its suffix; an unreadable line of JSON becomes None."""
-    check_file(path)
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
         return load_arrays(path)
+    check_file(path)
     if suffix not in (".csv", ".json", ".jsonl"):
         raise RecordingError(
             f"{path}: recordings are .npz, .npy, .json, .jsonl or .csv files, not '{suffix}'"

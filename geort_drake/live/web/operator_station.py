@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import GeortError, LiveError, MismatchError
-from geort_drake.live.glove_stream import HANDSHAKE_FRAMES, require_hand
+from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import GloveFrame, encode_frame
-from geort_drake.live.web.hands import HandReader
+from geort_drake.live.web.hands import HandReader, PointerHand, RecordedHand
 from geort_drake.live.web.messages import (
     VERSION,
     Command,
@@ -27,7 +27,7 @@ from geort_drake.live.web.messages import (
     Reset,
     decode,
 )
-from geort_drake.live.web.virtual_hands import PointerHand, RecordedHand
+from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
 
 # Time for which a fist must be held to be a command, s.
@@ -251,7 +251,7 @@ class OperatorStation:
             operator.first.append(p_HK)
         if len(operator.first) == HANDSHAKE_FRAMES:
             hands, operator.first = np.stack(operator.first), []
-            require_hand(hands, self.about.side)
+            require_wrist_frame_hand(hands, "the page's hand")
             operator.known = True
 
     def _watch_fist(self, operator: Operator) -> None:
