@@ -23,7 +23,6 @@ from rich.table import Table
 from side_by_side import parse, parser, write_json
 
 from geort_drake.console import console, run_main
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.hand import Hand
 from geort_drake.people.readers import read_recording
 from geort_drake.people.synthetic.play import synthesize_play
@@ -43,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         else synthesize_play(seed=0)
     )
     torch.set_num_threads(1)
-    hand = Hand(load_hand(HAND))
+    hand = Hand(HAND)
     p_HF = recording.fingertips(hand.description.human_keypoints)
     batch = public_batch(p_HF)
     batch()

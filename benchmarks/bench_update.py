@@ -18,7 +18,6 @@ from side_by_side import measure, parse, parser, report
 from untrained import FINGERS, add_form_option, untrained
 
 from geort_drake.console import run_main
-from geort_drake.hands.description import load_hand
 from geort_drake.hands.hand import Hand
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting.clouds import TrainedSpace
@@ -36,7 +35,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     hands = synthesize_play(seed=0, duration_s=60.0, rate_hz=1 / PERIOD).p_HK.astype(float)
     keypoints = [FINGERS[name] for name in retarget.finger_names]
     retarget.trained_space = TrainedSpace.of_recording(hands[:, keypoints], keypoints)
-    robot = Hand(load_hand("allegro_right"))
+    robot = Hand("allegro_right")
     start = dict(zip(retarget.joint_names, retarget(hands[0]), strict=True))
     limits = JointLimits(retarget.lower, retarget.upper)
     system = RetargetingSystem(

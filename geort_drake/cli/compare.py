@@ -65,23 +65,22 @@ class Evaluate(Command):
     epilog = staticmethod(methods_epilog)
 
     def run(self) -> int:
-        from geort_drake import Hand, load_hand, read_recording
+        from geort_drake import Hand, read_recording
         from geort_drake.console import console, progress_bar, warn
         from geort_drake.methods import names_of
         from geort_drake.metrics.compare import Comparison, Row, failures, report, tables
         from geort_drake.metrics.protocols import held_out, other_person, same_person
 
-        description = load_hand(self.hand)
-        hand = Hand(description)
+        hand = Hand(self.hand)
         methods = list(dict.fromkeys(self.methods or methods_for(self.hand)))
         names_of(methods, hand=hand)  # refuses unusable ones before anything is trained
         seeds = list(dict.fromkeys(self.seeds))
-        recording = read_recording(self.recording, description.side, training=True)
+        recording = read_recording(self.recording, hand.description.side, training=True)
         protocols = [same_person(recording, self.recording.name)]
         if self.held_out is not None:
             protocols.append(held_out(recording, self.held_out))
         if self.score_on:
-            others = {str(path): read_recording(path, description.side) for path in self.score_on}
+            others = {str(path): read_recording(path, hand.description.side) for path in self.score_on}
             protocols.append(other_person(recording, others))
         comparison = Comparison(hand, protocols, seeds, self.frames)
         rows: list[Row] = []
@@ -133,7 +132,7 @@ class Explore(Command):
     epilog = staticmethod(methods_epilog)
 
     def run(self) -> int:
-        from geort_drake import Hand, load_hand
+        from geort_drake import Hand
         from geort_drake.console import track
         from geort_drake.methods import names_of, resolve
         from geort_drake.metrics.evaluation import adapted
@@ -141,17 +140,16 @@ class Explore(Command):
         from geort_drake.metrics.explorer_recording import write_exploration
         from geort_drake.retargeting.train import training_recording
 
-        description = load_hand(self.hand)
-        hand = Hand(description)
+        hand = Hand(self.hand)
         names = names_of(self.methods, hand=hand)
-        recording = training_recording(self.recording, description.side, self.seed)
+        recording = training_recording(self.recording, hand.description.side, self.seed)
         hands = excerpt(recording, duration_s=self.duration, start_s=self.start)
         methods = {}
         for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):
             retarget, _ = resolve(method, hand, recording, self.seed)
             methods[name] = response(adapted(retarget, recording), hand, hands)
         properties = {
-            "hand": description.name,
+            "hand": hand.description.name,
             "methods": ", ".join(methods),
             "recording": self.recording.name if self.recording else "synthetic play",
             "recording_sha256": recording.digest,

@@ -128,12 +128,14 @@ class Live(Command, ScenarioOptions):
                 link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
             recorder = None
             if self.record:
-                parts = RecordingLog(self.record, {"side": side, "source": "teleoperation"})
-                if (old := parts.recovered) is not None:
+                log = RecordingLog(self.record, {"side": side, "source": "teleoperation"})
+                if (old := log.recovered) is not None:
                     warn(f"an earlier session to {self.record} was interrupted; it is kept as {old}")
-                recorder = GloveRecorder(scenario.retargeting.period, parts)
-                # Finishes the recording even if the session ends with an error.
-                stack.callback(recorder.finish)
+                recorder = GloveRecorder(scenario.retargeting.period)
+                recorder.switch(log)
+                # The recording is finished even if the session ends with an error.
+                stack.callback(log.finish)
+                stack.callback(recorder.switch, None)
             if receiver:
                 glove.handshake(self.timeout)
             if link is None:

@@ -82,7 +82,7 @@ class Train(Command):
         return methods_epilog(trained=True)
 
     def run(self) -> int:
-        from geort_drake import Hand, evaluate, load_hand, train_map
+        from geort_drake import Hand, evaluate, train_map
         from geort_drake.console import print_table, progress_bar, warn
         from geort_drake.retargeting.train import training_recording
 
@@ -93,7 +93,7 @@ class Train(Command):
             require_output_file(self.output, ".safetensors")
         if self.universal:
             return self._train_universal()
-        hand, settings = Hand(load_hand(self.hand)), self._settings()
+        hand, settings = Hand(self.hand), self._settings()
         recording = training_recording(self.recording, hand.description.side, self.seed)
         started = time.perf_counter()
         with warnings.catch_warnings():
@@ -178,14 +178,14 @@ class Train(Command):
 
         A map that starts from none is trained twice, see `UniversalSettings.refined`.
         """
-        from geort_drake import Hand, load_hand, load_retargeter
+        from geort_drake import Hand, load_retargeter
         from geort_drake.console import progress_bar
         from geort_drake.hands.collision_shapes import canonical_shapes
         from geort_drake.hands.hand import canonical_kinematics
         from geort_drake.retargeting.universal.mirror import mirrored_map
         from geort_drake.retargeting.universal.train import train_universal
 
-        hand = Hand(load_hand(name))
+        hand = Hand(name)
         kinematics, shapes = canonical_kinematics(hand), canonical_shapes(hand)
 
         def train(

@@ -12,11 +12,11 @@ from geort_drake.people.recording_log import RecordingLog
 from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.python_system import PythonSystem
 
-_PART_S = 1.0  # s; length of a part, which a crash loses
+_WRITE_AFTER = 1.0  # s; a crash loses the samples since then
 
 
 class GloveRecorder(PythonSystem):
-    """Samples a glove's ports at a fixed period.
+    """Samples a glove's ports at a fixed period, for `recording`, or to a log that `switch` gives.
 
     Input ports:
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
@@ -32,20 +32,19 @@ class GloveRecorder(PythonSystem):
 
     Args:
         period: time between samples, s.
-        parts: files to which samples are written every `part` seconds, which limits memory and the loss in a
-            crash. Without it, samples stay in memory for `recording`.
         robot: name of a robot's port, such as "joints.command" → names of its n joints.
+        write_after: time after which samples are written to the log, s.
     """
 
     def __init__(
         self,
         period: float,
-        parts: RecordingLog | None = None,
-        part: float = _PART_S,
         robot: Mapping[str, Sequence[str]] | None = None,
+        write_after: float = _WRITE_AFTER,
     ):
         super().__init__()
-        self._parts, self._part_samples = parts, max(round(part / period), 1)
+        self._log: RecordingLog | None = None
+        self._most_samples = max(round(write_after / period), 1)
         self._paused = False
         self._samples: list[tuple[float, np.ndarray, RigidTransform, bool, list[float]]] = []
         self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
@@ -67,34 +66,24 @@ class GloveRecorder(PythonSystem):
         valid = bool(self._valid.Eval(context)[0] > 0.5)
         q = [position for port, n in self._robot for position in port.Eval(context)[:n].tolist()]
         self._samples.append((context.get_time(), keypoints, X_WH, valid, q))
-        if self._parts is not None and len(self._samples) >= self._part_samples:
-            self._write(self._parts)
+        if self._log is not None and len(self._samples) >= self._most_samples:
+            self._write(self._log)
         return EventStatus.Succeeded()
 
     def recording(self, metadata: dict | None = None) -> Recording:
-        """Returns the samples so far, with tracker poses; only without `parts`."""
+        """Returns the samples so far, with tracker poses; only without a log."""
         t, p_HK, valid, X_WH, robot = self._arrays()
         return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}), robot)
 
-    def switch(self, parts: RecordingLog | None) -> RecordingLog | None:
-        """Writes later samples to other parts, or drops them; returns the previous parts, complete."""
-        previous = self._parts
-        if previous is not None and self._samples:
-            self._write(previous)
+    def switch(self, log: RecordingLog | None) -> None:
+        """Writes the samples so far to the present log, and later ones to another; None drops them."""
+        if self._log is not None and self._samples:
+            self._write(self._log)
         self._samples.clear()
-        self._parts, self._paused = parts, parts is None
-        return previous
+        self._log, self._paused = log, log is None
 
-    def finish(self) -> bool:
-        """Joins the parts into one file; see `RecordingLog.finish`."""
-        if self._parts is None:
-            raise ValueError("this recorder has no parts; call `recording` instead")
-        if self._samples:
-            self._write(self._parts)
-        return self._parts.finish()
-
-    def _write(self, parts: RecordingLog) -> None:
-        parts.append(*self._arrays())
+    def _write(self, log: RecordingLog) -> None:
+        log.append(*self._arrays())
         self._samples.clear()
 
     def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:

@@ -82,15 +82,17 @@ def teleoperate(seed: int) -> None:
     session = Recording(play().t[part] - play().t[part][0], play().p_HK[part], play().valid[part])
     builder = DiagramBuilder()
     replay = builder.AddSystem(GloveReplay(session))
-    parts = RecordingLog("session.npz", {"side": "right"})
-    recorder = builder.AddSystem(GloveRecorder(0.01, parts, part=0.1))
+    log = RecordingLog("session.npz", {"side": "right"})
+    recorder = builder.AddSystem(GloveRecorder(0.01, write_after=0.1))
+    recorder.switch(log)
     for name in ("keypoints", "wrist_pose", "valid"):
         builder.Connect(replay.GetOutputPort(name), recorder.GetInputPort(name))
     simulator = Simulator(builder.Build())
     for tick in range(100):
         simulator.AdvanceTo(0.01 * tick)
         time.sleep(0.002)  # faster than in real time, but not than the disk
-    recorder.finish()
+    recorder.switch(None)
+    log.finish()
 
 
 WORKS: dict[str, Callable[[int], object]] = {

@@ -65,7 +65,7 @@ class PageControl:
         self._root: Context
         self._published = -math.inf
         self._consent = False
-        self._parts: RecordingLog | None = None
+        self._log: RecordingLog | None = None
         self._finishing: list[threading.Thread] = []
 
     def begin(
@@ -86,20 +86,20 @@ class PageControl:
 
     def end(self) -> None:
         """Ends the session's recording, if there is one."""
-        if self._parts is None or self.recorder is None:
+        if self._log is None or self.recorder is None:
             return
-        parts, self._parts = self._parts, None
+        log, self._log = self._log, None
         self.recorder.switch(None)
         facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
 
         # In a thread, because joining takes longer than a step of the loop.
         def finish() -> None:
             try:
-                if parts.finish(facts):
-                    self.recordings.append(parts.path)
+                if log.finish(facts):
+                    self.recordings.append(log.path)
             except GeortError as error:
                 self.note = str(error)
-                warn(f"{parts.path}: {error}")
+                warn(f"{log.path}: {error}")
 
         self._finishing.append(threading.Thread(target=finish, name="finishing", daemon=True))
         self._finishing[-1].start()
@@ -128,14 +128,14 @@ class PageControl:
                 self.end()
         if self._station.simulated_person != self.loop.simulated_person and not self.note:
             self.again = True
-        if self._parts is not None and self._parts.failed:
+        if self._log is not None and self._log.failed:
             self._consent = False
             self.end()
         if math.isnan(self._started):
             self.loop.restart(root)
             self._started = root.get_time() if engaged else math.nan
         # Recording begins at the engagement, because a replay follows from its start.
-        if engaged and self._consent and self._parts is None and self.recorder is not None:
+        if engaged and self._consent and self._log is None and self.recorder is not None:
             self._record(self.recorder)
         now = time.monotonic()
         if now - self._published >= _STATE_S:
@@ -166,11 +166,11 @@ class PageControl:
         if recorder.robot_signals:
             facts["robot_signals"] = recorder.robot_signals
         try:
-            self._parts = RecordingLog(self._folder / f"{name}.npz", facts)
+            self._log = RecordingLog(self._folder / f"{name}.npz", facts)
         except GeortError as error:
             self.note, self._consent = str(error), False
             return
-        recorder.switch(self._parts)
+        recorder.switch(self._log)
 
     def _state(self, root: Context, engaged: bool) -> dict[str, Any]:
         station, outcome = self._station, self._outcome(root)
@@ -195,7 +195,7 @@ class PageControl:
             "late": self.loop.late,
             "operator": station.operator is not None,
             "spectators": station.spectators,
-            "recording": self._parts.path.name if self._parts else WAITING if self._consent else None,
+            "recording": self._log.path.name if self._log else WAITING if self._consent else None,
         }
 
     def _clock(self, root: Context) -> float:
