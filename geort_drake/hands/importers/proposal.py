@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.geometry import Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
 
-from geort_drake.errors import listed
+from geort_drake.errors import HandError, listed, naming
 from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
@@ -168,7 +168,8 @@ def _overlaps(hand: Hand) -> dict[tuple[str, str], float]:
 def _default_positions(structure: HandStructure, description: HandDescription) -> dict[str, float]:
     """Returns positions a tenth of the range inside the limits, for joints whose default is outside, rad."""
     positions = {}
-    limits = position_limits(structure.plant, description, structure.hand)
+    with naming(f"model {structure.path}", HandError):
+        limits = position_limits(structure.plant, description, structure.hand)
     for name, low, high in zip(description.joint_names, *limits, strict=True):
         start = structure.plant.GetJointByName(name, structure.hand).get_default_angle()
         if not low <= start <= high:
