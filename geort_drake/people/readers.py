@@ -14,7 +14,7 @@ import numpy as np
 from geort_drake.errors import RecordingError, UnknownNameError, naming
 from geort_drake.people.checks import UNITS_M, examine, require_wrist_frame_hand, training_faults
 from geort_drake.people.contents import load
-from geort_drake.people.formats import FORMATS, Track
+from geort_drake.people.formats import FORMATS
 from geort_drake.people.recording import SIDES, Recording
 
 # For files without timestamps. At 30 Hz, GeoRT's recording has fingertip speeds (99th percentile 1 m/s) that
@@ -182,6 +182,3 @@ def _summary(contents: object) -> str:
     return (
         f"{type(contents).__name__} of {len(contents)}" if isinstance(contents, list | tuple) else "no frames"
     )
-
-
-__all__ = ["ASSUMED_RATE_HZ", "AUTO", "FORMATS", "Track", "read_recording"]
