@@ -197,16 +197,11 @@ def test_training_and_guard_see_the_hulls_that_drake_sees(tmp_path):
     wedge = np.array([[x, y, z] for y in (-0.033, 0.033) for x, z in side])
     trimesh.convex.convex_hull(wedge).export(tmp_path / "parts" / "palm.stl")
     hand = Hand(propose(convert_model(model, tmp_path / "copy", []))[0])
-    shapes, q = collision_shapes(hand), hand.sample(500, seed=1)
+    q = hand.sample(500, seed=1)
     collides = hand.collides_beyond_tips(q)
-
-    def agreement(shapes) -> float:
-        gaps = CollisionGaps(hand.kinematics(), shapes)
-        return float(((gaps.least(torch.tensor(q).float(), 0.002).numpy() < 0) == collides).mean())
-
+    gaps = CollisionGaps(hand.kinematics(), collision_shapes(hand))
     assert 0.1 < collides.mean() < 0.9
-    assert agreement(shapes) > 0.95
-    assert agreement(dc.replace(shapes, correction=0.0)) < 0.8
+    assert ((gaps.least(torch.tensor(q).float(), 0.002).numpy() < 0) == collides).mean() > 0.95
 
     clearance, context, counts = HandClearance(hand, 0.002), hand.contact_context(), [0, 0]
     watched = {frozenset(pair) for pair in clearance.pairs}

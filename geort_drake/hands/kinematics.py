@@ -1,6 +1,7 @@
 """A hand's fingers as serial chains, and its collision shapes, as plain arrays."""
 
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
@@ -137,26 +138,34 @@ class HandKinematics:
 
 @dataclass(frozen=True)
 class CollisionShapes:
-    """The S collision shapes of a hand as plain arrays.
+    """The S collision shapes of a hand as plain arrays: convex hulls, of points or of equal spheres.
 
     Attributes:
         joint: (S,) number of the joint that moves the shape, among those of `HandKinematics.uncoupled()`;
             −1 where it is fixed to the base B.
         X_JS: (S, 4, 4) pose of the shape S in its joint's moving frame J, or in B, m.
-        half: (S, 3) half edges of a box, m; zero for a sphere.
-        radius: (S,) radius of a sphere, m; zero for a box.
-        pairs: (P, 2) numbers of shapes that must not touch; if only one is a sphere, it comes second.
-        correction: (P,) addition to the gap of each pair, m, or one for all.
+        vertices: (S, V, 3) points in S, m, some of them repeated; the shape contains them.
+        radius: (S,) distance of the shape's surface from the convex hull of the vertices, m.
+        pairs: (P, 2) numbers of shapes that must not touch.
     """
 
     joint: np.ndarray
     X_JS: np.ndarray
-    half: np.ndarray
+    vertices: np.ndarray
     radius: np.ndarray
     pairs: np.ndarray
-    correction: np.ndarray | float = 0.0
 
     def mirrored(self) -> "CollisionShapes":
         """Returns the shapes of the hand with the kinematics `HandKinematics.mirrored()`."""
         M = np.diag([1.0, -1.0, 1.0, 1.0])
-        return replace(self, X_JS=M @ self.X_JS @ M)
+        return replace(self, X_JS=M @ self.X_JS @ M, vertices=self.vertices * [1.0, -1.0, 1.0])
+
+
+def lattice_directions() -> np.ndarray:
+    """Returns the 98 unit vectors (98, 3) through the points of a 5 × 5 grid on the faces of a cube.
+
+    Each direction is at most 15° from the nearest one.
+    """
+    points = np.array(list(product(range(-2, 3), repeat=3)), dtype=float)
+    points = points[np.abs(points).max(axis=1) == 2]
+    return points / np.linalg.norm(points, axis=1, keepdims=True)

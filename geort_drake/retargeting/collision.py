@@ -1,18 +1,18 @@
 """Computes gaps between the collision shapes of a hand, batched and differentiable in torch.
 
-Shapes are boxes and spheres. The gap of two shapes is their largest separation over the face normals and edge
-products of the boxes (separating-axis theorem: Gottschalk et al. 1996, "OBBTree") and over the direction from
-the first box to the second shape's centre. The gap is negative if and only if the shapes overlap, exact if
-one is a sphere, and never more than the true distance. A pair may have a correction, which is added.
+The gap of two convex shapes is their largest separation over the `lattice_directions` of both. A separation
+is never more than the true distance, or than minus the depth of the overlap. The gap falls short of these by
+about 0.2 mm between links, and by nothing where a face of a box decides.
 """
 
 import numpy as np
 import torch
 
-from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
+from geort_drake.hands.kinematics import CollisionShapes, HandKinematics, lattice_directions
 from geort_drake.retargeting.kinematics import JointFrames, add_buffers
 
-_CHUNK = 1000
+_CHUNK = 500  # hands
+_DIRECTIONS = 8  # that are examined of each shape; all 98 find the same overlaps
 
 
 class CollisionGaps(torch.nn.Module):
@@ -27,9 +27,11 @@ class CollisionGaps(torch.nn.Module):
 
     R_JS: torch.Tensor
     p_JS: torch.Tensor
-    half_edges: torch.Tensor
+    vertices: torch.Tensor
     radius: torch.Tensor
-    correction: torch.Tensor
+    directions: torch.Tensor
+    support: torch.Tensor
+    half_edges: torch.Tensor
     pairs: torch.Tensor
     reach: torch.Tensor
 
@@ -37,17 +39,19 @@ class CollisionGaps(torch.nn.Module):
         super().__init__()
         self._joint_frames = JointFrames(kinematics)
         self._frame = [self._joint_frames.number[int(joint)] for joint in shapes.joint]
-        pairs = np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)
+        directions = lattice_directions()
         add_buffers(
             self,
             R_JS=shapes.X_JS[:, :3, :3],
             p_JS=shapes.X_JS[:, :3, 3],
-            half_edges=shapes.half,
+            vertices=shapes.vertices,
             radius=shapes.radius,
-            correction=np.broadcast_to(shapes.correction, len(pairs)),
+            directions=directions,
+            support=(shapes.vertices @ directions.T).max(axis=1),
+            half_edges=np.abs(shapes.vertices).max(axis=1),
+            reach=np.linalg.norm(shapes.vertices, axis=2).max(axis=1) + shapes.radius,
         )
-        self.register_buffer("pairs", torch.tensor(pairs))
-        self.register_buffer("reach", torch.linalg.vector_norm(self.half_edges, dim=1) + self.radius)
+        self.register_buffer("pairs", torch.tensor(np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)))
 
     def keep_pairs_that_meet(self, q: torch.Tensor, margin: float) -> None:
         """Drops pairs that never come closer than `margin`, m, at joint angles q (N, n), rad."""
@@ -56,7 +60,7 @@ class CollisionGaps(torch.nn.Module):
             for part in q.split(_CHUNK):
                 _, pair, gap = self.near(part, margin)
                 met[pair[gap < margin]] = True
-        self.pairs, self.correction = self.pairs[met], self.correction[met]
+        self.pairs = self.pairs[met]
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Computes R_BS (N, S, 3, 3) and p_BS (N, S, 3), m, of the shapes at joint angles q (N, n), rad."""
@@ -68,8 +72,10 @@ class CollisionGaps(torch.nn.Module):
         R, p = self.poses(q)
         a, b = self.pairs.T
         with torch.no_grad():
-            reach = self.reach[a] + self.reach[b] + margin - self.correction
+            reach = self.reach[a] + self.reach[b] + margin
             row, pair = torch.nonzero((p[:, a] - p[:, b]).square().sum(-1) < reach**2, as_tuple=True)
+            near = self._box_gaps(R, p, row, pair) < margin
+        row, pair = row[near], pair[near]
         return row, pair, self._gaps(R, p, row, pair)
 
     def least(self, q: torch.Tensor, margin: float) -> torch.Tensor:
@@ -99,51 +105,40 @@ class CollisionGaps(torch.nn.Module):
         gap = self._gaps(*self.poses(q[rows]), row, pair)
         return torch.relu(margin - gap).sum() / (scale * len(q))
 
+    def _box_gaps(
+        self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor
+    ) -> torch.Tensor:
+        """Returns lower bounds (M,), m, of the gaps: separations along the axes of the boxes about both."""
+        a, b = self.pairs[pair].T
+        R_A, R_B, p_AB = R[row, a], R[row, b], (p[row, b] - p[row, a])[:, :, None]
+        half_a, half_b = self.half_edges[a, :, None], self.half_edges[b, :, None]
+        size = (R_A.mT @ R_B).abs()
+        by_a = (R_A.mT @ p_AB).abs() - half_a - size @ half_b
+        by_b = (R_B.mT @ p_AB).abs() - half_b - size.mT @ half_a
+        return torch.maximum(by_a, by_b).amax((1, 2)) - self.radius[a] - self.radius[b]
+
     def _gaps(self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor) -> torch.Tensor:
         """Returns the gaps (M,), m, of the pairs numbered `pair` at the poses of `row`."""
         a, b = self.pairs[pair].T
-        R_A, R_B, p_AB = R[row, a], R[row, b], p[row, b] - p[row, a]
-        gap = box_gap(R_A, R_B, p_AB, self.half_edges[a], self.half_edges[b])
-        return gap - self.radius[a] - self.radius[b] + self.correction[pair]
+        gaps = [
+            self._separation(R[row, i], R[row, j], p[row, j] - p[row, i], i, j) for i, j in ((a, b), (b, a))
+        ]
+        return torch.maximum(*gaps) - self.radius[a] - self.radius[b]
 
-
-def box_gap(
-    R_A: torch.Tensor, R_B: torch.Tensor, p_AB: torch.Tensor, a: torch.Tensor, b: torch.Tensor
-) -> torch.Tensor:
-    """Computes the largest separation (M,), m, of boxes A and B; see the module.
-
-    Args:
-        R_A, R_B: (M, 3, 3) orientations of the boxes in a common frame.
-        p_AB: (M, 3) vector from the centre of A to that of B in the common frame, m.
-        a, b: (M, 3) half edges, m; zero for a point.
-    """
-    R = R_A.transpose(1, 2) @ R_B
-    t = (R_A * p_AB[:, :, None]).sum(1)  # in the frame of A
-    s = (R_B * p_AB[:, :, None]).sum(1)  # in the frame of B
-    size = R.abs()
-    faces_a = t.abs() - a - (size * b[:, None]).sum(2)
-    faces_b = s.abs() - b - (size * a[:, :, None]).sum(1)
-    # Axes L = A_i × B_j: |t · L| and both boxes' extents along L, divided by its length sqrt(1 − R_ij²).
-    along = (_down(t)[:, :, None] * _up(R) - _up(t)[:, :, None] * _down(R)).abs()
-    extent = _up(a)[:, :, None] * _down(size) + _down(a)[:, :, None] * _up(size)
-    size = size.mT
-    extent = extent + (_up(b)[:, :, None] * _down(size) + _down(b)[:, :, None] * _up(size)).mT
-    length = torch.sqrt(torch.clamp(1.0 - R.square(), min=1e-4))
-    edges = torch.where(R.square() > 1.0 - 1e-3, -1.0, (along - extent) / length).flatten(1)
-    # The axis from the nearest point of A to B's centre; it has no direction if the centre is inside A.
-    outside = t - torch.minimum(torch.maximum(t, -a), a)
-    distance = torch.sqrt(outside.square().sum(1) + 1e-12)
-    axis = outside / distance[:, None]
-    reach = (b * (axis[:, None] @ R)[:, 0].abs()).sum(1)
-    towards = torch.where(distance > 1e-5, distance - reach, -1.0)
-    return torch.cat([faces_a, faces_b, edges, towards[:, None]], dim=1).amax(1)
-
-
-def _up(x: torch.Tensor) -> torch.Tensor:
-    """Shifts the components of (M, 3, ...) cyclically to the next axis."""
-    return x.roll(-1, 1)
-
-
-def _down(x: torch.Tensor) -> torch.Tensor:
-    """Shifts the components of (M, 3, ...) cyclically to the previous axis."""
-    return x.roll(1, 1)
+    def _separation(
+        self, R_BI: torch.Tensor, R_BJ: torch.Tensor, p_IJ_B: torch.Tensor, i: torch.Tensor, j: torch.Tensor
+    ) -> torch.Tensor:
+        """Returns the largest separation (M,), m, of shapes i and j (M,) over the directions of i."""
+        R_IJ, p_IJ = R_BI.mT @ R_BJ, (R_BI.mT @ p_IJ_B[:, :, None])[..., 0]
+        with torch.no_grad():
+            beyond = p_IJ @ self.directions.T - self.support[i]
+            # The box about j is enough to see which directions come into question.
+            extent = ((self.directions @ R_IJ).abs() @ self.half_edges[j, :, None])[..., 0]
+            chosen = (beyond - extent).topk(_DIRECTIONS, dim=1).indices
+            towards = self.directions[chosen] @ R_IJ  # (M, K, 3) in the frame of j
+            nearest = (towards @ self.vertices[j].mT).min(dim=2)
+            best = (beyond.gather(1, chosen) + nearest.values).argmax(dim=1, keepdim=True)
+            direction, vertex = chosen.gather(1, best)[:, 0], nearest.indices.gather(1, best)[:, 0]
+        # By the envelope theorem, direction and vertex are constants of the derivative.
+        p_I = p_IJ + (R_IJ @ self.vertices[j, vertex][:, :, None])[..., 0]
+        return (p_I * self.directions[direction]).sum(1) - self.support[i, direction]
