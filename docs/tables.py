@@ -257,3 +257,35 @@ def _hands() -> list:
     from geort_drake.resources import hand_names
 
     return [(name, load_hand(name)) for name in hand_names()]
+
+
+def phases_table(module: str, phases: str, first: str = "", last: str = "") -> str:
+    """A Markdown table of the simulated person's phases in a module of `simulation.person`, first to last."""
+    import importlib
+
+    rows = ["| phase | wrist | fingers | ends when |", "|---|---|---|---|"]
+    table = getattr(importlib.import_module(f"geort_drake.simulation.person.{module}"), phases)
+    names = [phase.name for phase in table]
+    begin, end = names.index(first) if first else 0, names.index(last) + 1 if last else len(names)
+    for phase in table[begin:end]:
+        cells = [phase.wrist.__doc__, phase.fingertips.__doc__, phase.ends.__doc__]
+        rows.append(f"| {phase.name} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def kinds_table() -> str:
+    """A Markdown table of the kinds of people."""
+    from geort_drake.simulation.person.config import OperatorConfig
+    from geort_drake.simulation.person.engine import KINDS
+
+    moves = {
+        "none": "by correction alone",
+        "as own": "as the robot should",
+        "learned": "as learned is needed",
+    }
+    looks = {"all": "all fingers", "one": "the finger they look at, and the thumb"}
+    rows = ["| kind | moves a finger | corrects | at |", "|---|---|---|---|"]
+    for name, kind in KINDS.items():
+        rate = getattr(OperatorConfig(), kind.rate)
+        rows.append(f"| `{name}` | {moves[kind.feedforward]} | {looks[kind.looks_at]} | {rate} /s |")
+    return "\n".join(rows)

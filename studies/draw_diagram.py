@@ -27,7 +27,7 @@ from geort_drake.files import write_text
 from geort_drake.hands.description import load_hand
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.operators.goal import GraspGoal
+from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
 

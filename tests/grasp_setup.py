@@ -15,11 +15,11 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram
-from geort_drake.simulation.free_play import keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
 from geort_drake.simulation.judge import PERIOD, Judgement, Outcome
-from geort_drake.simulation.operators.finger_motion import FingerMotion
-from geort_drake.simulation.operators.goal import GraspGoal
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.person.finger_motion import FingerMotion
+from geort_drake.simulation.person.goal import GraspGoal
+from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Task, TrialResult
@@ -180,7 +180,7 @@ def goals(task: str) -> list:
 def retarget_and_play(method: str) -> tuple[Any, FreePlay]:
     """A map without training for the person who plays, and what that person sees of it in free play."""
     frames = play().fingertips([4, 8, 12, 16])
-    retarget = METHODS[method].fit(allegro(), frames)
+    retarget = after_play(METHODS[method].fit(allegro(), frames), person_who_plays())
     return retarget, seen_fingertips(retarget, allegro(), person_who_plays())
 
 

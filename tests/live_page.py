@@ -22,9 +22,10 @@ from pydrake.math import RigidTransform
 from geort_drake import load_hand
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.people.synthetic.hand import HumanHand
-from geort_drake.simulation.operators.behavior import GraspingPerson
-from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.perception import Seen
+from geort_drake.simulation.person.config import OperatorConfig
+from geort_drake.simulation.person.engine import Person
+from geort_drake.simulation.person.handling import GRASP
+from geort_drake.simulation.person.perception import Seen
 from geort_drake.systems.port_values import vector_to_pose
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -225,14 +226,14 @@ class PagePerson:
                                 correction_rate=2.0)  # fmt: skip
         self._hand = HumanHand.anatomical()
         self._rng = np.random.default_rng(0)
-        self._person = GraspingPerson(self._hand, goal, config, self._rng)
+        self._person = Person(self._hand, goal, GRASP, "servo", config, None, self._rng)
         self._tremor = config.tremor
         self._state = None
 
     @property
     def phase(self) -> str:
         """What the person is doing."""
-        return self._state.phase.name.lower() if self._state else "waiting"
+        return self._person.phases[self._state.phase].name if self._state else "waiting"
 
     def hand(self, frames: list[bytes], engaged: bool) -> list[list[float]]:
         """The joints of a headset after these frames; at rest until the person is engaged."""
@@ -252,6 +253,6 @@ class PagePerson:
         return joints_of(self._state.X_WH.multiply(p_HK.T).T)
 
     def _touching(self, p_WF: np.ndarray, X_WO: RigidTransform) -> np.ndarray:
-        """A force of 1 N, or none, at each fingertip as the picture shows it on the upright object or not."""
+        """A force of 3 N, or none, at each fingertip as the picture shows it on the upright object or not."""
         across = np.linalg.norm((p_WF - X_WO.translation())[:, :2], axis=1)
-        return np.where(across - self._radius - self._tip_radii < TOUCHING_M, 1.0, 0.0)
+        return np.where(across - self._radius - self._tip_radii < TOUCHING_M, 3.0, 0.0)

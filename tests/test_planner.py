@@ -19,7 +19,7 @@ from geort_drake.hands.importers.proposal import propose
 from geort_drake.resources import object_names
 from geort_drake.simulation.free_play import keep_reached
 from geort_drake.simulation.object_shape import object_shape
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.contacts import (
     GRIPS,
     contact_heights,

@@ -12,22 +12,30 @@ from grasp_setup import centred_map, goals, person_who_plays, reach_goal
 from pydrake.systems.primitives import DiscreteTimeDelay
 
 from geort_drake import load_scenario, make_trial_diagram
-from geort_drake.simulation import operators
-from geort_drake.simulation.operators.goal import GraspGoal
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation import person
+from geort_drake.simulation.person.goal import GraspGoal
+from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.tasks.keys import KeysGoal
 
 # What the person's modules may run through besides each other, directly or not.
 HARMLESS = {
-    *("errors", "files", "settings", "people.synthetic.hand", "people.keypoints", "people.recording"),
+    *(
+        "errors",
+        "files",
+        "settings",
+        "people.synthetic.hand",
+        "people.synthetic.solid",
+        "people.keypoints",
+        "people.recording",
+    ),
     *("simulation.wrist_motion", "systems.port_values", "systems.python_system"),
 }
 DRAKE = {"pydrake.math", "pydrake.common.value", "pydrake.common.eigen_geometry", "pydrake.systems.framework"}
 LOAD = """
 import importlib, pkgutil, sys
-import geort_drake.simulation.operators as operators
-for module in pkgutil.iter_modules(operators.__path__):
-    importlib.import_module(f"{operators.__name__}.{module.name}")
+import geort_drake.simulation.person as person
+for module in pkgutil.iter_modules(person.__path__):
+    importlib.import_module(f"{person.__name__}.{module.name}")
 print(*(name for name, module in sys.modules.items() if not hasattr(module, "__path__")))
 """
 
@@ -37,9 +45,9 @@ def test_no_module_of_the_person_runs_through_a_robot_or_a_map():
     done = subprocess.run([sys.executable, "-c", LOAD], capture_output=True, text=True, check=True)
     loaded = {name.removeprefix("geort_drake.") for name in done.stdout.split() if "geort_drake." in name}
     assert "people.synthetic.hand" in loaded
-    assert {name for name in loaded if not name.startswith("simulation.operators.")} <= HARMLESS
-    for module in pkgutil.iter_modules(operators.__path__):
-        tree = ast.parse(Path(operators.__path__[0], f"{module.name}.py").read_text("utf-8"))
+    assert {name for name in loaded if not name.startswith("simulation.person.")} <= HARMLESS
+    for module in pkgutil.iter_modules(person.__path__):
+        tree = ast.parse(Path(person.__path__[0], f"{module.name}.py").read_text("utf-8"))
         for node in ast.walk(tree):
             if isinstance(node, ast.Import | ast.ImportFrom):
                 assert node.col_offset == 0 or "TYPE_CHECKING" in ast.unparse(tree), "an import in a function"
@@ -54,18 +62,18 @@ def test_goals_tell_places_and_no_postures():
     assert set(FreePlay._fields) == {"p_HF", "p_BF", "period"}
 
 
-HAND = {"fingertips", "hand_pose"}
+HAND = {"fingertips", "hand_pose", "object_pose"}
 
 
 @pytest.mark.parametrize("hand", ["allegro_right", "allegro_left"])
 @pytest.mark.parametrize(
     ("task", "mirrored", "unmirrored"),
     [
-        ("grasp", HAND | {"object_pose"}, {"contact"}),
-        ("keys", HAND, {"positions", "cue"}),
+        ("grasp", HAND, {"contact"}),
+        ("keys", HAND, {"positions", "cue", "contact"}),
         ("cap", HAND | {"positions"}, {"contact"}),
-        ("pick_place", HAND | {"object_pose", "place_pose"}, {"contact"}),
-        ("peg", HAND | {"object_pose", "place_pose"}, {"contact"}),
+        ("pick_place", HAND | {"place_pose"}, {"contact"}),
+        ("peg", HAND | {"place_pose"}, {"contact"}),
     ],
 )
 def test_the_persons_ports_lead_through_delays_to_what_can_be_seen_and_felt(task, mirrored, unmirrored, hand):

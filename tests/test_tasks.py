@@ -1,5 +1,6 @@
 """The tasks besides grasping: places, judgement, mirror images, and people who do them."""
 
+import ast
 import dataclasses as dc
 import hashlib
 import importlib
@@ -26,11 +27,13 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake import load_scenario, run_trial
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.people.keypoints import mirrored
-from geort_drake.simulation import tasks
+from geort_drake.people.synthetic import solid
+from geort_drake.simulation import person, tasks, wrist_motion
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.judge import Outcome
-from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.intention import IntentionConfig, LearnedMotion
+from geort_drake.simulation.person.config import OperatorConfig
+from geort_drake.simulation.person.engine import KINDS
+from geort_drake.simulation.person.learning import LearnedMotion
 from geort_drake.simulation.tasks import cap, find_task, keys, peg, pick_place, task_names
 from geort_drake.simulation.tasks.keys import HOVER, PITCH, TRAVEL, KeysSettings
 from geort_drake.simulation.transfer import judgement
@@ -186,7 +189,7 @@ def test_a_left_hand_has_its_place_on_the_other_side(task):
     assert pose_to_vector(left)[:4] == pytest.approx(pose_to_vector(right)[:4])
 
 
-KEYS = "presses: 2, enough: 2, ready_time: 3.0, cue_time: 2.0"
+KEYS = "presses: 4, enough: 2, ready_time: 3.0, cue_time: 2.0"
 PLACES = {
     "keys": lambda goal: [goal.p_BK, goal.p_BF_open, goal.p_BF_pressed],
     "cap": lambda goal: [goal.fingertips(share * goal.stroke, 0.003) for share in (0.0, 0.4, 1.0)],
@@ -208,27 +211,29 @@ def test_no_trial_starts_in_contact(task, rng):
 
 @pytest.mark.parametrize("task", PLACES)
 def test_the_mirror_has_the_same_places(task):
-    """A cap turns the other way there."""
+    """A cap turns the other way there. Fingers whose positions do not matter count as zero."""
     goal = plans(task)[0].goal
-    seen = PLACES[task](goal.mirrored())
-    for place in map(mirrored, PLACES[task](goal)):
+    seen = [np.nan_to_num(place) for place in PLACES[task](goal.mirrored())]
+    for place in (np.nan_to_num(mirrored(place)) for place in PLACES[task](goal)):
         assert min(np.abs(place - other).max() for other in seen if other.shape == place.shape) < 1e-9
 
 
 @pytest.mark.parametrize(
     ("task", "method", "kind", "settings", "least", "most"),
     [
-        ("keys", "affine_ik", "adaptive", KEYS, 1.0, 1.0),
-        ("keys", "affine_ik", "mimicry", KEYS, 1.0, 1.0),
+        ("keys", "affine_ik", "adaptive", KEYS, 0.5, 1.0),
+        ("keys", "affine_ik", "mimicry", KEYS, 0.5, 1.0),
         ("keys", "hold", "servo", KEYS, 0.0, 0.0),
         ("cap", "affine_ik", "adaptive", "turn: 90", 1.0, 1.0),
         ("cap", "hold", "adaptive", "turn: 90", 0.0, 0.05),
-        ("pick_place", "affine_ik", "servo", "", 1.0, 1.0),
-        ("peg", "affine_ik", "adaptive", "", 1.0, 1.0),
         pytest.param(
-            *("peg", "affine_ik", "servo", "", 1.0, 1.0),
-            marks=pytest.mark.xfail(reason="loses the dowel on seed 0 since synthetic play is solid"),
+            *("pick_place", "universal", "adaptive", "", 1.0, 1.0),
+            marks=pytest.mark.xfail(
+                reason="with this seed, errors of vision let the low block roll at each lift"
+            ),
         ),
+        ("pick_place", "universal", "servo", "", 1.0, 1.0),
+        ("peg", "affine_ik", "adaptive", "", 1.0, 1.0),
         ("grasp", "affine_ik", "adaptive", "", 1.0, 1.0),
         ("grasp", "affine_ik", "mimicry", "", 1.0, 1.0),
     ],
@@ -237,7 +242,7 @@ def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, s
     """The map is affine; a hand that holds still does nothing."""
     timeout = "timeout: 14, " if task == "cap" else ""
     result, attainable = attempt(task, method, f"{{{timeout}kind: {kind}, task_settings: {{{settings}}}}}")
-    assert least <= result.score <= most and result.success == (method == "affine_ik")
+    assert least <= result.score <= most and result.success == (method != "hold")
     assert (result.outcome == "success") == result.success
     assert task != "keys" or attainable == result.success
     assert task != "cap" or not result.success or result.attempts > 1  # 90° are more than one stroke
@@ -245,7 +250,7 @@ def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, s
 
 def test_a_person_learns_how_the_robots_fingertip_follows():
     """A gain and a rotation, from half a minute of noisy comparisons; and so which own motion is needed."""
-    rng, config = np.random.default_rng(0), IntentionConfig()
+    rng, config = np.random.default_rng(0), OperatorConfig()
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     learned = LearnedMotion.unlearned(2, config)
     for _ in range(120):
@@ -274,11 +279,32 @@ def test_a_hand_without_the_fingers_is_refused_before_it_runs(task, lacks, messa
         find_task(task).plans(load_scenario(task=task), without)
 
 
-def test_the_persons_parameters_are_those_of_the_published_results():
-    """Results made with others cannot be compared: a change needs new results, and then this digest."""
-    frozen = "167fc503d8db25bd4a1b258ef7c5ec6fdc418fb9a32cae4ec2a3d4e3401c43e8"
-    defaults = [dc.asdict(OperatorConfig()), dc.asdict(IntentionConfig())]
-    assert hashlib.sha256(json.dumps(defaults, sort_keys=True).encode()).hexdigest() == frozen
+def numbers_of(path: Path) -> list[float]:
+    """All numbers in a module, in their order."""
+    constants = [
+        node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Constant)
+    ]
+    return [node.value for node in constants if type(node.value) in (int, float)]
+
+
+def test_all_numbers_of_the_person_are_those_of_the_published_results():
+    """Those of its modules, its solid hand and wrist, its kinds, and the scenario of every task.
+
+    No scenario changes a parameter of the person.
+
+    Results made with others cannot be compared: a change needs new results, and then this digest.
+    """
+    frozen = "f0a3e857abaa11fac7881bf4d363dcc9f16f4b31becf5fce2b26e19f6dd9d190"
+    paths = [
+        *sorted(Path(person.__file__).parent.glob("*.py")),
+        Path(solid.__file__),
+        Path(wrist_motion.__file__),
+    ]
+    modules = {path.name: numbers_of(path) for path in paths}
+    scenarios = {name: dc.asdict(load_scenario(task=name).operator) for name in task_names()}
+    assert all(scenario == dc.asdict(OperatorConfig()) for scenario in scenarios.values())
+    numbers = json.dumps([modules, KINDS, scenarios], sort_keys=True)
+    assert hashlib.sha256(numbers.encode()).hexdigest() == frozen
 
 
 def test_the_task_of_the_how_to_runs_in_one_file(tmp_path, monkeypatch):

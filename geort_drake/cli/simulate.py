@@ -32,7 +32,7 @@ from geort_drake.simulation.tasks import task_names
 
 if TYPE_CHECKING:
     from geort_drake import Hand, Recording
-    from geort_drake.simulation.operators.goal import Goal
+    from geort_drake.simulation.person.goal import Goal
     from geort_drake.simulation.scenario import Scenario
     from geort_drake.simulation.task import TrialResult
 

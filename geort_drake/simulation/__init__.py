@@ -1,1 +1,1 @@
-"""Simulated trials: scenario, world and diagram; `tasks`; and `operators`, the simulated people."""
+"""Simulated trials: scenario, world and diagram; `tasks`; and `person`, the simulated person."""

@@ -18,7 +18,7 @@ from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import add_arm, add_fingers, robot_model
-from geort_drake.simulation.operators.simulated_operator import SimulatedOperator
+from geort_drake.simulation.person.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
@@ -44,7 +44,7 @@ class TrialDiagram:
     stage: Stage
     retargeting: RetargetingSystem
     glove_recorder: GloveRecorder
-    operator: LeafSystem | None
+    operator: SimulatedOperator | None
     recorder: "RerunRecorder | None"
 
     def initialize(self, root: Context) -> None:

@@ -15,8 +15,8 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.base import forget
 from geort_drake.retargeting.universal import UniversalRetargeter
-from geort_drake.simulation.operators.goal import Goal, Intended
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.person.goal import Goal, Intended
+from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario
 
 DURATION, RATE = 30.0, 30.0  # s, frames per second

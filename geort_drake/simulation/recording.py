@@ -121,8 +121,8 @@ def add_grasp_recorder(
         specs[name] = StateSpec(port, labels)
     is_operator = bool(seen)
     if is_operator:
-        labels = [phase.name.lower() for phase in source.phases]  # type: ignore[attr-defined]
-        specs["operator"] = StateSpec(source.GetOutputPort("phase"), labels)
+        phases = source.phases  # type: ignore[attr-defined]
+        specs["operator"] = StateSpec(source.GetOutputPort("phase"), phases)
     links = dict(zip(fingers, finger_links(plant, description, hand), strict=True))
     specs[HUMAN] = HandSpec(
         hand_source.GetOutputPort("keypoints"),

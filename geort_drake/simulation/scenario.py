@@ -13,8 +13,7 @@ from pydrake.multibody.plant import MultibodyPlantConfig
 
 from geort_drake.errors import UnknownNameError
 from geort_drake.resources import models_dir, object_names
-from geort_drake.simulation.operators.config import OperatorConfig
-from geort_drake.simulation.operators.intention import IntentionConfig
+from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.worn_glove import WornGloveConfig
 from geort_drake.systems.action_correction import CorrectionConfig
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
@@ -115,8 +114,6 @@ class Scenario:
     person: int = 0
     glove: WornGloveConfig = dc.field(default_factory=WornGloveConfig)
     operator: OperatorConfig = dc.field(default_factory=OperatorConfig)
-    # Further parameters of the person for tasks other than grasp.
-    intention: IntentionConfig = dc.field(default_factory=IntentionConfig)
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
     correction: CorrectionConfig = dc.field(default_factory=CorrectionConfig)
     wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)

@@ -69,7 +69,6 @@ def check_scenario(scenario: Scenario) -> None:
     try:
         scenario.glove.validate()
         scenario.operator.validate()
-        scenario.intention.validate()
         scenario.correction.validate()
         scenario.wrist_to_arm.validate()
         task.settings_of(scenario)

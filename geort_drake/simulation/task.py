@@ -22,15 +22,13 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.settings import require_numbers
 from geort_drake.simulation.judge import Judge, Judgement, Outcome
 from geort_drake.simulation.object_shape import ObjectShape
-from geort_drake.simulation.operators.goal import Goal, Plan
-from geort_drake.simulation.operators.intention import ADAPTIVE, MIMICRY, SERVO
-from geort_drake.simulation.operators.simulated_operator import Person
+from geort_drake.simulation.person.engine import KINDS, Person, Phase
+from geort_drake.simulation.person.goal import Goal, Plan
+from geort_drake.simulation.person.handling import Placing
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import Placement, Scene, add_robot, finish_scene, joint_state
 from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR
 from geort_drake.systems.scene_view import SceneView
-
-KINDS = (ADAPTIVE, MIMICRY, SERVO)  # kinds of simulated people
 
 
 class PerceivedPort(NamedTuple):
@@ -135,11 +133,13 @@ class Task:
         plan: plans of the scenario's robot, best first. Raises ScenarioError if there are none.
         add: adds to the plant what the hand handles. Raises ScenarioError or HandError if scenario and models
             do not fit together.
-        person: makes the person from scenario, hand, goal and generator.
-        percepts: ports of view and judge that the person perceives besides fingertips and hand pose.
+        phases: the person's behaviour.
+        percepts: ports of the judge that the person perceives besides those of the view.
         cases_of: returns the objects, one per trial; None for a task without a choice.
         settings: dataclass of positive numbers for the scenario's `task_settings`.
         mirror: name of a percept → signs that mirror it for a left hand.
+        placing: how the person places the object, if they do.
+        begins_straight: whether the person's fingers are straight at first, because bent ones would collide.
         kinds: kinds of people who can do it.
     """
 
@@ -148,12 +148,14 @@ class Task:
     scenario: str | tuple[Path, str]
     plan: Callable[[Scenario, HandDescription], list[Plan]]
     add: Callable[[Site], Handled]
-    person: Callable[[Scenario, HumanHand, Any, np.random.Generator], Person]
-    percepts: tuple[str, ...]
+    phases: tuple[Phase, ...]
+    percepts: tuple[str, ...] = ()
     cases_of: Callable[[], list[str]] | None = None
     settings: type = NoSettings
     mirror: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
-    kinds: tuple[str, ...] = KINDS
+    placing: Placing | None = None
+    begins_straight: bool = False
+    kinds: tuple[str, ...] = tuple(KINDS)
 
     def cases(self) -> list[str]:
         """Returns the cases of the task, one per trial, such as objects."""
@@ -173,6 +175,18 @@ class Task:
     def plans(self, scenario: Scenario, description: HandDescription) -> list[Goal]:
         """Returns the goals of `plan`."""
         return [plan.goal for plan in self.plan(scenario, description)]
+
+    def person(self, scenario: Scenario, hand: HumanHand, goal: Goal, rng: np.random.Generator) -> Person:
+        """Returns a person who perceives the ports of `Stage.shown`.
+
+        Args:
+            goal: mirrored for a left robot hand.
+            rng: draws the noise of perception and motion.
+        """
+        settings = self.placing or self.settings_of(scenario)
+        return Person(
+            hand, goal, self.phases, scenario.kind, scenario.operator, settings, rng, self.begins_straight
+        )
 
     def settings_of(self, scenario: Scenario) -> Any:
         """Returns the settings of a scenario.
@@ -246,7 +260,7 @@ class Task:
             **self.mirror,
         }
         shown = {}
-        for name in ("fingertips", "hand_pose", *self.percepts):
+        for name in ("fingertips", "hand_pose", "object_pose", "contact", *self.percepts):
             system = view if view.HasOutputPort(name) else judge
             shown[name] = PerceivedPort(system.GetOutputPort(name), mirror.get(name))
         states = {self.name: (judge.GetOutputPort("phase"), handled.states)}

@@ -12,11 +12,8 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.judge import Judgement, Observation, Outcome
-from geort_drake.simulation.operators.goal import GraspGoal
-from geort_drake.simulation.operators.placing import PlacingPerson
-from geort_drake.simulation.operators.simulated_operator import Person
+from geort_drake.simulation.person.handling import PLACE, Placing
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Handled, Site, Task
 from geort_drake.simulation.world import add_placed_object
@@ -151,14 +148,7 @@ class Transfer(NamedTuple):
             shows={"place_pose": lambda outcome: place},
         )
 
-    def person(
-        self, scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator
-    ) -> Person:
-        """Returns a person who grasps the object and brings it to its place."""
-        known = hand, goal, scenario.operator, rng, scenario.kind, scenario.intention
-        return PlacingPerson(*known, hover=self.hover, upright=self.upright)
-
     def task(self, **fields: Any) -> Task:
         """Returns a task with these further fields of `Task`."""
-        percepts = ("object_pose", "contact", "place_pose")
-        return Task(add=self.add, person=self.person, percepts=percepts, **fields)
+        placing = Placing(self.hover, self.upright)
+        return Task(add=self.add, phases=PLACE, placing=placing, percepts=("place_pose",), **fields)

@@ -100,7 +100,7 @@ def _result(
     attempts = operator_phase = None
     if parts.operator is not None:
         memory = parts.operator.memory(parts.operator.GetMyContextFromRoot(root))
-        attempts, operator_phase = memory.attempt, memory.phase.name.lower()
+        attempts, operator_phase = memory.attempt, parts.operator.phases[memory.phase]
     simulated_time = root.get_time()
     return TrialResult(
         task=task.name,

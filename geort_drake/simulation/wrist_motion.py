@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from geort_drake.systems.port_values import rotation_of_vector
 
 if TYPE_CHECKING:
-    from geort_drake.simulation.operators.config import OperatorConfig
+    from geort_drake.simulation.person.config import OperatorConfig
 
 
 @dc.dataclass

@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.operators.goal import Plan
+from geort_drake.simulation.person.goal import Plan
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import Scene, actuated_joints

@@ -15,7 +15,7 @@ from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.simulation.object_shape import object_shape
-from geort_drake.simulation.operators.goal import GraspGoal
+from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import HAND, add_object, add_robot, draw_placement
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk

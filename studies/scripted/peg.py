@@ -6,7 +6,7 @@ from pydrake.systems.analysis import Simulator
 
 from geort_drake.people.recording import Recording
 from geort_drake.simulation.diagram import make_trial_diagram
-from geort_drake.simulation.operators.goal import GraspGoal
+from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import peg
 from geort_drake.simulation.trial import run_trial
@@ -16,6 +16,8 @@ from scripted.pick_place import plans
 
 __all__ = ["plans", "scripted"]
 
+SQUEEZE = 0.02  # m, depth of the squeeze
+
 
 def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     """Returns the score of a robot that knows dowel and hole and carries out the plan; 0 without success.
@@ -24,7 +26,7 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     """
     transfer, robot = peg.TRANSFER, oracle(scenario.hand)
     scenario.random_seed = seed
-    squeeze = scenario.operator.squeeze
+    squeeze = SQUEEZE
     X_WB, X_WO = _lifted(scenario, robot, script(scenario, robot, goal, squeeze))
     X_WP = transfer.place(scenario, robot.description.side, np.random.default_rng(seed))
     R_WO = RotationMatrix.MakeZRotation(RollPitchYaw(X_WO.rotation()).yaw_angle())  # upright

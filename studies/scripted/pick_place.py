@@ -4,11 +4,13 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.operators.goal import GraspGoal
+from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task, pick_place
 from geort_drake.simulation.trial import run_trial
 from scripted.oracle import HOLDING, object_pose, oracle, script
+
+SQUEEZE = 0.012  # m, depth of the squeeze
 
 
 def plans(scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
@@ -25,7 +27,7 @@ def scripted(scenario: Scenario, goal: GraspGoal, seed: int) -> float:
     scenario.random_seed = seed
     rng = np.random.default_rng(seed).spawn(1)[0]
     X_WP = transfer.place(scenario, robot.description.side, rng)
-    squeeze, timeout = scenario.operator.squeeze, scenario.timeout
+    squeeze, timeout = SQUEEZE, scenario.timeout
     lift = script(scenario, robot, goal, squeeze)
     scenario.timeout = float(lift.t[-1]) - HOLDING
     lifted, _ = run_trial(scenario, robot, lift)

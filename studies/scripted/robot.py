@@ -9,7 +9,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.hands.description import HandDescription, load_hand
-from geort_drake.simulation.operators.goal import Goal
+from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import HAND, Scene, actuated_joints, add_robot

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
-from geort_drake.simulation.operators.goal import Plan
+from geort_drake.simulation.person.goal import Plan
 
 _TOLERANCE = 0.001  # m, largest position error of a fingertip
 _LIMIT_MARGIN = 0.1  # fraction of its range that a joint keeps from either limit
@@ -60,8 +60,8 @@ class FingerPlanner:
         return (q[self._columns] - 0.5 * (lower + upper)) / (upper - lower)
 
     def all_tips(self, p_BF: np.ndarray) -> np.ndarray:
-        """Returns fingertip points (F, 3), m: p_BF (K, 3) for the K fingers, default ones for the others."""
-        tips = self.hand.fingertips(self.hand.default_position).copy()
+        """Returns fingertip points (F, 3), m: p_BF (K, 3) for the K fingers, NaN for the others."""
+        tips = np.full((len(self.touches), 3), np.nan)
         tips[self.fingers] = p_BF
         return tips
 

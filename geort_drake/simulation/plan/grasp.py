@@ -14,7 +14,7 @@ from pydrake.math import RigidTransform
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.operators.goal import GraspGoal
+from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.plan.approach import APPROACH_CLEARANCE, GraspApproach
 from geort_drake.simulation.plan.contacts import (
     GRIPS,
@@ -145,6 +145,7 @@ class GraspPlanner:
             "p_OF_touch": robot.fingertips(q_touch),
             "n_OF": np.array([normals.get(name, np.zeros(3)) for name in names]),
             "yaw_symmetry": yaw_candidates(robot.shape)[1],
+            "weight": robot.weight,
         }
         goals = [
             GraspGoal(

@@ -5,7 +5,7 @@ from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, Scen
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.tree import RigidBody, UniformGravityFieldElement
 from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
@@ -57,6 +57,8 @@ class GraspKinematics:
         add_robot(plant, scenario, description)
         self._object = add_object(plant, scenario.object.name)
         self.shape: ObjectShape = object_shape(plant, scene_graph.model_inspector(), self._object)
+        # Of the object, N.
+        self.weight = self._object.default_mass() * UniformGravityFieldElement.kDefaultStrength
         # The object is sunk into its support by the ground clearance.
         bottom = self.shape.lowest_point(RigidTransform())
         self._X_WO = standing_pose(scenario, bottom + _GROUND_CLEARANCE)

@@ -15,8 +15,8 @@ from pydrake.multibody.tree import FixedOffsetFrame, PdControllerGains, ScrewJoi
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.judge import Judgement, Observation, Outcome
-from geort_drake.simulation.operators.cap_turner import CapTurner
-from geort_drake.simulation.operators.goal import Goal, Plan
+from geort_drake.simulation.person.cap import CAP
+from geort_drake.simulation.person.goal import Goal, Plan
 from geort_drake.simulation.plan.fingertips import FingerPlanner
 from geort_drake.simulation.task import Handled, Site, Task
 
@@ -111,10 +111,13 @@ class CapGoal(Goal):
         inwards = -p[self.thumb] / np.linalg.norm(p[self.thumb])
         signs = np.where(np.arange(len(p)) == self.thumb, 1.0, -1.0)
         p = p + np.outer(signs * depth, inwards)
+        return self.turned(self.p_BC + p, turn)
+
+    def turned(self, p_BF: np.ndarray, turn: float) -> np.ndarray:
+        """Returns points (F, 3) in B, m, turned with the cap about −x of B, rad."""
+        x, y, z = (p_BF - self.p_BC).T
         c, s = np.cos(turn), np.sin(turn)
-        turned = p.copy()
-        turned[:, 1], turned[:, 2] = c * p[:, 1] + s * p[:, 2], c * p[:, 2] - s * p[:, 1]
-        return self.p_BC + np.where(self.touches[:, None], turned, self.p_BF_touch - self.p_BC)
+        return self.p_BC + np.column_stack([x, c * y + s * z, c * z - s * y])
 
     def mirrored(self) -> "CapGoal":
         return dc.replace(super().mirrored(), stroke=-self.stroke)
@@ -247,10 +250,9 @@ TASK = Task(
     scenario=SCENARIO,
     plan=lambda scenario, description: CapPlanner(description).plans(),
     add=_add,
-    person=lambda scenario, hand, goal, rng: CapTurner(
-        hand, goal, scenario.kind, scenario.operator, scenario.intention, rng
-    ),
-    percepts=("positions", "contact"),
+    phases=CAP,
+    percepts=("positions",),
+    begins_straight=True,
     settings=CapSettings,
     mirror={"positions": np.array([-1.0])},
 )

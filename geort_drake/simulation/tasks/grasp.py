@@ -15,16 +15,11 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geort_drake.files import finite_json
-from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.resources import diagrams_dir, object_names
 from geort_drake.simulation.judge import PERIOD, Judgement, Observation, Outcome
-from geort_drake.simulation.operators.behavior import GraspingPerson
-from geort_drake.simulation.operators.goal import GraspGoal, Plan
-from geort_drake.simulation.operators.intending import IntendingPerson
-from geort_drake.simulation.operators.intention import SERVO
-from geort_drake.simulation.operators.simulated_operator import Person
+from geort_drake.simulation.person.goal import Plan
+from geort_drake.simulation.person.handling import GRASP
 from geort_drake.simulation.plan.grasp import GraspPlanner
-from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Handled, Site, Task
 from geort_drake.simulation.world import add_placed_object
 from geort_drake.systems.port_values import vector_to_pose
@@ -202,20 +197,13 @@ def _add(site: Site) -> Handled:
     return Handled(body, judge, states, shape=shape, placement=placement)
 
 
-def _person(scenario: Scenario, hand: HumanHand, goal: GraspGoal, rng: np.random.Generator) -> Person:
-    if scenario.kind == SERVO:
-        return GraspingPerson(hand, goal, scenario.operator, rng)
-    return IntendingPerson(hand, goal, scenario.operator, rng, scenario.kind, scenario.intention)
-
-
 TASK = Task(
     name="grasp",
     summary="lift an object and hold it",
     scenario=(diagrams_dir() / "grasp.scenarios.yaml", "Grasp"),
     plan=lambda scenario, description: [Plan(goal) for goal in GraspPlanner(scenario, description).plans()],
     add=_add,
-    person=_person,
-    percepts=("object_pose", "contact"),
+    phases=GRASP,
     cases_of=object_names,
     settings=GraspSettings,
 )

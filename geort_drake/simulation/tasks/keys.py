@@ -18,8 +18,8 @@ from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, PrismaticSp
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.judge import Judgement, Observation, Outcome
-from geort_drake.simulation.operators.goal import Goal, Plan
-from geort_drake.simulation.operators.key_presser import KeyPresser
+from geort_drake.simulation.person.goal import Goal, Plan
+from geort_drake.simulation.person.keys import KEYS
 from geort_drake.simulation.plan.fingertips import FingerPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Handled, Site, Task
@@ -237,9 +237,7 @@ TASK = Task(
     scenario=SCENARIO,
     plan=_plan,
     add=_add,
-    person=lambda scenario, hand, goal, rng: KeyPresser(
-        hand, goal, scenario.kind, scenario.operator, scenario.intention, rng
-    ),
+    phases=KEYS,
     percepts=("positions", "cue"),
     settings=KeysSettings,
 )

@@ -4,7 +4,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.operators.goal import Plan
+from geort_drake.simulation.person.goal import Plan
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.transfer import ARM_POSTURE, CarriedState, Transfer

@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.operators.goal import Plan
+from geort_drake.simulation.person.goal import Plan
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.transfer import ARM_POSTURE, CarriedState, Transfer
@@ -27,8 +27,6 @@ kind: servo
 timeout: 30.0
 directives: [{add_directives: {file: package://geort_drake/diagrams/bare_table.dmd.yaml}}]
 object: {name: block_20, position: [0.45, 0.0], support_height: 0.0, yaw_range: 0.2}
-# A light grip: these things are small.
-operator: {lift_height: 0.1, squeeze: 0.012}
 """
 )
 

@@ -1,8 +1,6 @@
 """A system that replaces glove and tracker by a simulated person."""
 
-import enum
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -10,25 +8,10 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, State
 
 from geort_drake.people.synthetic.hand import HumanHand
-from geort_drake.simulation.operators.config import OperatorConfig
+from geort_drake.simulation.person.config import OperatorConfig
+from geort_drake.simulation.person.engine import Memory, Person
+from geort_drake.simulation.person.perception import Seen
 from geort_drake.systems.python_system import PythonSystem
-
-
-class Person(Protocol):
-    """A simulated person; `start` and `step` return states with `theta`, `X_WH`, `phase` and `attempt`."""
-
-    @property
-    def phases(self) -> type[enum.IntEnum]:
-        """Phases of the person's behaviour."""
-
-    def start(self, X_WH: RigidTransform) -> Any:
-        """Returns the state before the first decision, with the wrist at X_WH."""
-
-    def seen(self, values: Mapping[str, np.ndarray]) -> Any:
-        """Returns the scene as the person sees it, from the values of the input ports."""
-
-    def step(self, state: Any, t: float, scene: Any) -> Any:
-        """Returns the state after one decision at time t, s; does not change `state`."""
 
 
 class SimulatedOperator(PythonSystem):
@@ -42,7 +25,7 @@ class SimulatedOperator(PythonSystem):
         object_pose (7): X_WO, qw qx qy qz x y z.
         place_pose (7): X_WP, where the object belongs, qw qx qy qz x y z.
         contact (F): force between each finger and the object, N.
-        others: outputs of the task's monitor.
+        others: what the task's judge shows.
     Output ports:
         keypoints (63): p_HK of the person's hand, keypoint-major, m, wrist frame H.
         wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist.
@@ -54,7 +37,7 @@ class SimulatedOperator(PythonSystem):
     state, so a system serves one simulation.
 
     Attributes:
-        phases: enumeration of the person's phases.
+        phases: names of the person's phases.
 
     Args:
         hand: the person's hand.
@@ -81,7 +64,8 @@ class SimulatedOperator(PythonSystem):
         self._vision_start = config.visual_delay - 0.5 * config.period
         self._inputs = {name: self.DeclareVectorInputPort(name, size) for name, size in inputs.items()}
         self._person = person(rng)
-        self.phases, start = self._person.phases, self._person.start(X_WH_start)
+        self.phases = [phase.name for phase in self._person.phases]
+        start = self._person.start(X_WH_start)
         state = self.DeclareAbstractState(AbstractValue.Make(start))
         # The last posture and its keypoints, which a holding hand keeps.
         self._posture, self._p_HK = start.theta, hand.keypoints(start.theta)
@@ -109,7 +93,7 @@ class SimulatedOperator(PythonSystem):
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._decide)
 
-    def memory(self, context: Context) -> Any:
+    def memory(self, context: Context) -> Memory:
         """Returns the person's memory; do not change it."""
         return context.get_abstract_state(0).get_value()
 
@@ -118,7 +102,7 @@ class SimulatedOperator(PythonSystem):
         if context.get_time() < self._vision_start:
             return EventStatus.DidNothing()
         values = {name: port.Eval(context).copy() for name, port in self._inputs.items()}
-        after = self._person.step(before, context.get_time(), self._person.seen(values))
+        after = self._person.step(before, context.get_time(), Seen.of_ports(values))
         state.get_mutable_abstract_state(0).set_value(after)
         if after.theta is not self._posture:
             self._posture, self._p_HK = after.theta, self._hand.keypoints(after.theta)

@@ -11,7 +11,9 @@ _DIVISORS = (
     "peak_wrist_turn",
     "min_movement_time",
     "closing_lead",
-    "squeeze_time",
+    "squeeze_speed",
+    "opening_speed",
+    "press_time",
 )
 
 
@@ -22,7 +24,10 @@ class OperatorConfig:
     Sources: [S05] Saunders and Knill 2005, visual correction of reaching; [F65] Ferrell 1965, remote
     manipulation with delay; [FH85] Flash and Hogan 1985, minimum jerk; [HW98] Harris and Wolpert 1998,
     signal-dependent noise; [J89] Jones 1989, just noticeable differences of force; [R97] Riviere 1997,
-    tremor of eye surgeons; [B02] van Beers et al. 2002, vision in depth and in azimuth; [M] fingertip speeds
+    tremor of eye surgeons; [B02] van Beers et al. 2002, vision in depth and in azimuth; [WJ84] Westling and
+    Johansson 1984, forces of the precision grip; [F54] Fitts 1954, time of aimed movements; [H52] Hick 1952,
+    time to choose; [JW88] Johansson and Westling 1988, force commands after lifts; [R98] Rayner 1998,
+    fixations; [K00] Krakauer et al. 2000, adaptation to rotated and scaled motion; [M] fingertip speeds
     measured on recorded glove play.
     """
 
@@ -87,15 +92,56 @@ class OperatorConfig:
     closing_lead: float = 0.003
     # A felt force above this is a touch, N.
     touch_force: float = 0.05
-    # Further inward motion of the robot's fingertips, by the sensed gain, after all grasping fingers touch,
-    # m, and its duration, s; 10 to 30 mm hold small objects at the hand's stiffness.
+    # After all grasping fingers touch, thumb and fingers press towards each other, the thumb at this speed,
+    # m/s, until both sides feel the force of a grip, or a fingertip has moved by `squeeze`, m. The force is
+    # that of a light grip, N, or this multiple of the object's weight if it is more: friction of 0.8 on two
+    # sides needs 0.63, people hold about twice as much as a margin [WJ84], and a lift accelerates the object.
+    squeeze_speed: float = 0.03
+    grip_force: float = 1.0
+    grip_per_weight: float = 1.5
     squeeze: float = 0.02
-    squeeze_time: float = 0.4
+    # After this time, s, the person lifts or turns all the same: people reach the force of a grip in 0.2 to
+    # 0.5 s, and do not wait for every finger [WJ84].
+    squeeze_time: float = 0.5
+    # Factor on that force after each slip: people adapt their grip to the last lift [JW88]. The size is an
+    # assumption.
+    firmer: float = 1.5
+    # Fingers that let go move off a surface at most at this speed, m/s, for at most this time, s.
+    opening_speed: float = 0.1
+    opening_time: float = 2.0
     # Pause after the squeeze, s, and height of the lift, m.
     settle_time: float = 0.2
     lift_height: float = 0.15
     # The object counts as lost after it has moved this far in the hand, m.
     lost_distance: float = 0.04
+    # Duration of a press or a release, s: 10 mm to within 3 mm are 2.7 bits of 0.1 s each [F54].
+    press_time: float = 0.27
+    # Time from a seen cue to the press, s: one of four, none included, is 2 bits of 0.15 s each [H52].
+    choice_time: float = 0.3
+    # Shortest time between two changes of the finger that is looked at, s; fixations take 0.2 to 0.3 s [R98].
+    attention_time: float = 0.25
+    # Correction rate of *mimicry* people, 1/s: a fifth of the others'. An assumption.
+    mimicry_rate: float = 0.5
+    # Standard deviation of each entry of the Jacobian around the identity that *adaptive* people expect
+    # before free play, and of its drift in a second. Rotations of 30° and gains of 1.5 are learned [K00].
+    jacobian_spread: float = 0.5
+    jacobian_drift: float = 0.02
+    # Time between two comparisons of own and robot motion, s, and the least own motion compared, m.
+    # Assumptions; the time is that of a fixation.
+    comparison_time: float = 0.25
+    least_motion: float = 0.005
+    # *adaptive* people learn from free play within this distance of the own fingertip, m. An assumption.
+    neighbourhood: float = 0.04
+    # A finger whose key is not seen to go down is pushed further, at `push_speed`, m/s, by at most
+    # `most_push`, m. Assumptions.
+    push_speed: float = 0.02
+    most_push: float = 0.02
+    # A finger that is seen to press without a cue is raised by this, m. An assumption.
+    lift: float = 0.004
+    # An object is carried to within `place_tolerance`, m, of the point above its place, and lowered to
+    # `place_overshoot`, m, below the seen place, to be set down. Both are about the error of vision [B02].
+    place_tolerance: float = 0.003
+    place_overshoot: float = 0.005
 
     def validate(self) -> None:
         """Raises ValueError for a value out of range."""

@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.people.keypoints import mirrored
-from geort_drake.simulation.operators.perception import FreePlay
+from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.systems.port_values import mirrored_pose
 
 
@@ -18,17 +18,20 @@ from geort_drake.systems.port_values import mirrored_pose
 class Goal(abc.ABC):
     """Target positions of F fingertips, relative to the robot hand or to the object.
 
-    Tasks add fields: points and directions (..., 3), m, by names that begin with p_ or n_, and poses.
+    Tasks add fields: points and directions (..., 3), m, by names that begin with p_ or n_, and poses. Every
+    goal has `p_BF_open` (F, 3), fingertips in B before they touch, NaN for fingers whose positions do not
+    matter.
     """
 
-    # Robot fingers, in the hand description's order, and (F,) whether they touch the object. The positions of
-    # the others do not matter.
+    # Robot fingers, in the hand description's order, and (F,) whether they touch the object.
     finger_names: tuple[str, ...]
     touches: np.ndarray
     # Distance by which free play may miss the fingertips' places, m.
     clearance: float
     # Free play that the person saw before the task; None if it does not matter.
     play: FreePlay | None = dc.field(default=None, kw_only=True)
+    # Weight of what the fingers lift, N, which the person knows from earlier lifts; 0 if they lift nothing.
+    weight: float = dc.field(default=0.0, kw_only=True)
 
     @abc.abstractmethod
     def places(self) -> Sequence[np.ndarray]:

@@ -1,0 +1,1 @@
+"""The simulated person: one engine, whose behaviour in a task is a table of phases."""

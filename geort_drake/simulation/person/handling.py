@@ -1,0 +1,382 @@
+"""Phases of a person who grasps an object, and who brings it to a place."""
+
+import dataclasses as dc
+import math
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+
+from geort_drake.simulation.person.engine import Moment, Phase, opposition, rest
+from geort_drake.simulation.person.finger_motion import limited
+from geort_drake.simulation.person.perception import averaged
+from geort_drake.systems.port_values import rotation_of_vector
+
+
+@dc.dataclass(frozen=True)
+class Placing:
+    """How an object is placed.
+
+    Attributes:
+        hover: height above its place from which the object is lowered, m.
+        upright: whether the person turns the object upright; otherwise, its tilt is left to gravity.
+        task: the task's own settings.
+    """
+
+    hover: float
+    upright: bool
+    task: Any = None
+
+
+# -- where the fingertips go
+
+
+def shape(m: Moment) -> np.ndarray:
+    """open around the object"""
+    return m.goal.p_BF_open
+
+
+def _around(m: Moment, depth: float) -> np.ndarray:
+    """Returns fingertips `depth` (m) below the seen surface, (F, 3) in B; NaN for fingers that feel it."""
+    X_BO = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)
+    target, touches = m.goal.p_BF_open.copy(), m.goal.touches
+    target[touches] = X_BO.multiply((m.goal.p_OF_touch + depth * m.goal.n_OF)[touches].T).T
+    target[touches & m.feels] = np.nan
+    return target
+
+
+def gather(m: Moment) -> np.ndarray:
+    """gather just off the surface"""
+    return _around(m, -m.config.aperture)
+
+
+def close(m: Moment) -> np.ndarray:
+    """slowly close; a finger that feels the object stops"""
+    return _around(m, m.config.overshoot)
+
+
+def closing_speed(m: Moment) -> np.ndarray:
+    """Returns limits (F,), m/s: leading fingers wait for the slowest."""
+    config, error = m.config, m.memory.error
+    assert error is not None  # set at the start of every decision
+    distance = np.nan_to_num(np.linalg.norm(error - m.expected, axis=1))
+    pending = m.goal.touches & ~m.feels
+    slowest = distance[pending].max() if pending.any() else 0.0
+    share = np.clip(1 - (slowest - distance - config.closing_lead) / config.closing_lead, 0, 1)
+    return config.closing_speed * share
+
+
+def press(m: Moment) -> None:
+    """press towards each other"""
+
+
+def hold(m: Moment) -> None:
+    """hold; press more if the grip weakens"""
+
+
+# -- how the own hand presses
+
+
+def _grip(m: Moment) -> float:
+    """Returns the felt force of the grip, N: that of the thumb, or of all others if it is less."""
+    force = m.recall("contact")
+    force = m.seen.contact if force is None else force
+    thumb = force[m.thumb]
+    return min(thumb, force[m.goal.touches].sum() - thumb)
+
+
+def _wanted_grip(m: Moment) -> float:
+    """Returns the wanted force of the grip, N."""
+    usual = max(m.config.grip_force, m.config.grip_per_weight * m.goal.weight)
+    return m.recall("grip_force", usual)
+
+
+def _is_firm(m: Moment, share: float = 1.0) -> bool:
+    """Whether the grip is felt to have a share of the wanted force."""
+    return _grip(m) >= share * _wanted_grip(m)
+
+
+def grip_firmer(m: Moment) -> None:
+    """Lets the person grip with more force after a slip."""
+    m.note(grip_force=m.config.firmer * _wanted_grip(m))
+
+
+def _pressing(m: Moment, is_firm: bool) -> np.ndarray:
+    """Returns velocities (F, 3), m/s, with which fingertips close further, and press if they are not firm.
+
+    Those that feel the object press against each other. A side that feels it alone rests, because pressing
+    would push the object.
+    """
+    touches, config, pressed = m.goal.touches, m.config, m.recall("pressed")
+    # A person without touch takes all to be touching.
+    feels = touches & m.feels if config.touch else touches
+    velocity = config.closing_speed * opposition(m.seen.p_BF, touches, m.thumb)
+    velocity[feels] = 0.0
+    if feels[m.thumb] and np.count_nonzero(feels) > 1 and not is_firm:
+        velocity += config.squeeze_speed * opposition(m.seen.p_BF, feels, m.thumb)
+    velocity *= np.linalg.norm(pressed, axis=1).max() < config.squeeze
+    contact = averaged(m.recall("contact"), m.seen.contact, config)
+    m.note(pressed=pressed + config.period * velocity, contact=contact)
+    return velocity
+
+
+def squeeze(m: Moment) -> np.ndarray:
+    """Returns velocities (F, 3), m/s, of digits that press towards each other until the grip is firm."""
+    return _pressing(m, _is_firm(m))
+
+
+def regrip(m: Moment) -> np.ndarray:
+    """Returns velocities (F, 3), m/s, of digits that press more where the grip weakens to half or less."""
+    return _pressing(m, _is_firm(m, 0.5))
+
+
+def relax(m: Moment) -> np.ndarray:
+    """Returns velocities (F, 3), m/s, that undo the squeeze."""
+    pressed = m.recall("pressed")
+    velocity = -limited(pressed / m.config.period, m.config.opening_speed)
+    m.note(pressed=pressed + m.config.period * velocity)
+    return velocity
+
+
+def outwards(m: Moment, error: np.ndarray) -> np.ndarray:
+    """Ignores errors inwards while the squeeze is undone: the fingertips hardly move then."""
+    if m.since > m.config.squeeze / m.config.opening_speed + m.config.visual_delay:
+        return error
+    inwards = opposition(m.seen.p_BF, m.goal.touches, m.thumb)
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+    return error - np.maximum(np.sum(error * inwards, axis=1, keepdims=True), 0.0) * inwards
+
+
+# -- where the wrist goes
+
+
+def _go(m: Moment, X_WB: RigidTransform, tolerance: float) -> RigidTransform | None:
+    return None if m.is_at(X_WB, tolerance) else X_WB
+
+
+def _before(m: Moment) -> RigidTransform:
+    return m.goal.object_frame(m.seen.X_WO) @ m.goal.X_OB_before
+
+
+def _at_object(m: Moment) -> RigidTransform:
+    return m.goal.object_frame(m.seen.X_WO) @ m.goal.X_OB
+
+
+def go_before(m: Moment) -> RigidTransform | None:
+    """goes to 80 to 170 mm before the grasp"""
+    return _go(m, _before(m), m.config.reach_tolerance)
+
+
+def go_around(m: Moment) -> RigidTransform | None:
+    """goes around the object"""
+    return _go(m, _at_object(m), m.config.reach_tolerance)
+
+
+def _shift(m: Moment) -> np.ndarray | None:
+    """Returns a shift of the hand, (3,) m in W, for errors out of the fingers' reach; None if small.
+
+    It is the midrange of the fingertips' errors to the surface, which minimises the largest error.
+    """
+    error, config = m.memory.error, m.config
+    assert error is not None  # set at the start of every decision
+    touches = m.goal.touches
+    X_BO = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)
+    depth = config.overshoot if m.recall("closing") else 0.0
+    error = np.nan_to_num(error - depth * (m.goal.n_OF @ X_BO.rotation().matrix().T))
+    error[m.feels] = 0.0
+    middle = 0.5 * (error[touches].min(axis=0) + error[touches].max(axis=0))
+    if np.linalg.norm(middle) < config.shift_tolerance:
+        return None
+    return m.seen.X_WB.rotation().matrix() @ middle
+
+
+def shift(m: Moment) -> RigidTransform | None:
+    """shifts if fingers are at their limit"""
+    shift = _shift(m) if m.fingers_at_limit else None
+    if shift is None:
+        return None
+    m.memory.best_error, m.memory.best_time = np.inf, m.t
+    return RigidTransform(m.seen.X_WB.rotation(), m.seen.X_WB.translation() + shift)
+
+
+def rise(m: Moment) -> RigidTransform | None:
+    """rises"""
+    if m.memory.movement is not None:
+        return None
+    return RigidTransform([0, 0, m.config.lift_height]) @ m.seen.X_WB
+
+
+def _to_place(m: Moment) -> RigidTransform:
+    """Returns the seen motion from object to place: rotation and translation of the origin in W."""
+    X_WO, X_WP = m.seen.X_WO, m.seen.X_WP
+    assert X_WP is not None  # tasks with a place show it
+    R = RotationMatrix()
+    if m.settings.upright:
+        R = _tilt_to(X_WO.rotation().col(2), X_WP.rotation().col(2))
+    yaw, symmetry = _yaw(X_WP.rotation()) - _yaw(R @ X_WO.rotation()), m.goal.yaw_symmetry
+    yaw = math.remainder(yaw, symmetry) if symmetry else 0.0
+    return RigidTransform(RotationMatrix.MakeZRotation(yaw) @ R, X_WP.translation() - X_WO.translation())
+
+
+def _above_place(m: Moment) -> RigidTransform:
+    motion, p_WO = _to_place(m), m.seen.X_WO.translation()
+    p_OB_W = m.seen.X_WB.translation() - p_WO
+    above = p_WO + motion.translation() + [0, 0, m.settings.hover]
+    return RigidTransform(motion.rotation() @ m.seen.X_WB.rotation(), above + motion.rotation() @ p_OB_W)
+
+
+def carry(m: Moment) -> RigidTransform | None:
+    """brings the object above its place, as if their own hand held it"""
+    return _go(m, _above_place(m), m.config.place_tolerance)
+
+
+def lower(m: Moment) -> RigidTransform | None:
+    """lowers the object onto its place"""
+    if m.memory.movement is not None:
+        return None
+    down = min(_to_place(m).translation()[2], 0.0) - m.config.place_overshoot
+    return RigidTransform([0, 0, down]) @ m.seen.X_WB
+
+
+# -- when a phase ends
+
+
+def _is_shaped(m: Moment, tolerance: float) -> bool:
+    """Whether the fingertips are at their targets, or as near as fingers and hand can bring them."""
+    return m.worst_error < tolerance or (m.fingers_at_limit and _shift(m) is None)
+
+
+def _has_slipped(m: Moment) -> bool:
+    return bool(np.linalg.norm(m.memory.p_BO - m.recall("p_BO")) > m.config.lost_distance)
+
+
+def _lost(m: Moment) -> str | None:
+    """Returns the phase after the object has slipped, if it has; the next grip is firmer."""
+    if not _has_slipped(m):
+        return None
+    grip_firmer(m)
+    m.memory.attempt += 1
+    return "release"
+
+
+def is_before(m: Moment) -> str | None:
+    """hand in place, fingers shaped"""
+    # Fingers at their limit may miss by up to the clearance.
+    near = m.goal.clearance if m.fingers_at_limit else 0.0
+    shaped = m.worst_error < max(m.config.shape_tolerance, near)
+    return "approach" if shaped and m.has_arrived(_before(m), m.config.reach_tolerance) else None
+
+
+def is_around(m: Moment) -> str | None:
+    """hand in place"""
+    return "surround" if m.has_arrived(_at_object(m), m.config.reach_tolerance) else None
+
+
+def is_gathered(m: Moment) -> str | None:
+    """fingers shaped"""
+    m.note(closing=False)
+    if not m.wrist_rests or not _is_shaped(m, m.config.aperture_tolerance):
+        return None
+    m.note(closing=True)
+    return "close"
+
+
+def all_feel(m: Moment) -> str | None:
+    """all grasping fingers feel the object"""
+    # A person without touch takes fingers that have stopped to be touching.
+    stopped = not m.config.touch and m.fingers_at_limit and _shift(m) is None
+    if not (m.feels[m.goal.touches].all() or stopped):
+        return None
+    return begin_squeeze(m)
+
+
+def begin_squeeze(m: Moment) -> str:
+    m.note(pressed=np.zeros_like(m.seen.p_BF), contact=None)
+    return "squeeze"
+
+
+def is_squeezed(m: Moment) -> bool:
+    """Whether the person takes the grip to be firm; a weak one is mended on the way."""
+    return m.since > m.config.settle_time if _is_firm(m) else m.since > m.config.squeeze_time
+
+
+def has_squeezed(m: Moment) -> str | None:
+    """the grip is firm, or after 0.5 s"""
+    if not is_squeezed(m):
+        return None
+    m.note(p_BO=m.memory.p_BO)
+    return "lift"
+
+
+def is_lifted(m: Moment) -> str | None:
+    """wrist at rest, or object lost"""
+    lifted = m.wrist_rests and m.memory.movement is not None
+    return _lost(m) or ("hold" if lifted else None)
+
+
+def is_lost(m: Moment) -> str | None:
+    """the trial ends, or object lost"""
+    return _lost(m)
+
+
+def is_carried(m: Moment) -> str | None:
+    """hand in place, or object lost"""
+    return _lost(m) or ("lower" if m.has_arrived(_above_place(m), m.config.place_tolerance) else None)
+
+
+def is_down(m: Moment) -> str | None:
+    """object on its place, or on something else, or lost"""
+    if lost := _lost(m):
+        return lost
+    if not (m.wrist_rests and m.memory.movement is not None):
+        return None
+    # An object that is still above its place stands on something else.
+    return "open" if _to_place(m).translation()[2] > -m.config.reach_tolerance else "carry"
+
+
+def is_open(m: Moment) -> str | None:
+    """fingers shaped, and no contact is felt"""
+    shaped = m.worst_error < m.config.shape_tolerance or m.fingers_at_limit
+    freed = not m.feels.any() or m.since > m.config.opening_time
+    return "retreat" if shaped and freed else None
+
+
+def has_retreated(m: Moment) -> str | None:
+    """the object is seen off its place"""
+    off = np.linalg.norm(_to_place(m).translation()) > 2 * m.config.reach_tolerance
+    if not (off and m.has_arrived(_before(m), m.config.reach_tolerance)):
+        return None
+    m.memory.attempt += 1
+    return "reach"
+
+
+_GRASP = (
+    Phase("reach", shape, is_before, go_before, from_seen=True),
+    Phase("approach", shape, is_around, go_around),
+    Phase("surround", gather, is_gathered, shift, from_seen=True),
+    Phase("close", close, all_feel, shift, speed=closing_speed, from_seen=True),
+    Phase("squeeze", press, has_squeezed, rest, press=squeeze),
+    Phase("lift", hold, is_lifted, rise, press=regrip),
+)
+_RELEASE = Phase("release", shape, is_before, go_before, speed="opening_speed", error=outwards, press=relax)
+GRASP = (*_GRASP, Phase("hold", hold, is_lost, rest, press=regrip), _RELEASE)
+PLACE = (
+    *_GRASP[:-1],
+    Phase("lift", hold, lambda m: "carry" if (end := is_lifted(m)) == "hold" else end, rise, press=regrip),
+    Phase("carry", hold, is_carried, carry, press=regrip),
+    Phase("lower", hold, is_down, lower, press=regrip),
+    Phase("open", shape, is_open, rest, speed="opening_speed", error=outwards, press=relax),
+    Phase("retreat", shape, has_retreated, go_before),
+    _RELEASE,
+)
+
+
+def _yaw(R: RotationMatrix) -> float:
+    return math.atan2(R.matrix()[1, 0], R.matrix()[0, 0])
+
+
+def _tilt_to(v: np.ndarray, u: np.ndarray) -> RotationMatrix:
+    """Returns the smallest rotation that turns the unit vector v to u."""
+    normal = np.cross(v, u)
+    sine = np.linalg.norm(normal)
+    return rotation_of_vector(normal / max(sine, 1e-12) * math.atan2(sine, v @ u))

@@ -1,0 +1,82 @@
+"""How a person learns the robot's response to their own motion."""
+
+import dataclasses as dc
+import math
+
+import numpy as np
+
+from geort_drake.simulation.person.config import OperatorConfig
+from geort_drake.simulation.person.perception import FreePlay
+
+
+@dc.dataclass(frozen=True)
+class LearnedMotion:
+    """A person's estimate of robot fingertip motion per own fingertip motion, finger by finger.
+
+    A Kalman filter estimates the rows of each Jacobian, which share a covariance, from the identity on.
+
+    Attributes:
+        J: (F, 3, 3) Jacobians: robot motion in B per own motion in H.
+        P: (F, 3, 3) covariance of each row of a Jacobian.
+    """
+
+    J: np.ndarray
+    P: np.ndarray
+
+    @classmethod
+    def unlearned(cls, num_fingers: int, config: OperatorConfig) -> "LearnedMotion":
+        """Returns the initial estimate, that robot and own fingers move alike."""
+        one = np.tile(np.eye(3), (num_fingers, 1, 1))
+        return cls(one, config.jacobian_spread**2 * one)
+
+    def compared(
+        self, finger: int, own: np.ndarray, robot: np.ndarray, noise: float, elapsed: float, drift: float
+    ) -> "LearnedMotion":
+        """Returns the estimate after a comparison of own and robot motion (3,), m.
+
+        Args:
+            noise: standard deviation of the seen motion, m.
+            elapsed: time since the last comparison, s.
+            drift: standard deviation by which entries drift in a second.
+        """
+        J, P = self.J.copy(), self.P.copy()
+        P[finger] += elapsed * drift**2 * np.eye(3)
+        gain = P[finger] @ own / (own @ P[finger] @ own + noise**2)
+        J[finger] += np.outer(robot - J[finger] @ own, gain)
+        P[finger] -= np.outer(gain, P[finger] @ own)
+        return LearnedMotion(J, P)
+
+    def own_motion(self, finger: int, robot: np.ndarray) -> np.ndarray:
+        """Returns the own motion (3,), m, expected to move the robot's fingertip by `robot` (3,), m.
+
+        The robot is assumed to move at least a third as far as the own finger in every direction.
+        """
+        U, s, Vt = np.linalg.svd(self.J[finger])
+        return Vt.T @ ((U.T @ robot) / np.maximum(s, 1 / 3))
+
+
+def motion_noise(config: OperatorConfig, elapsed: float) -> float:
+    """Returns the standard deviation of a seen motion along an axis, m, over `elapsed` time, s."""
+    variance = (2 * config.visual_noise**2 + config.visual_depth_noise**2) / 3
+    share = math.exp(-elapsed / config.visual_noise_time) if config.visual_noise_time else 0.0
+    return math.sqrt(max(2 * variance * (1 - share), 1e-8))
+
+
+def learned_in_play(
+    play: FreePlay,
+    p_HF: np.ndarray,
+    config: OperatorConfig,
+    rng: np.random.Generator,
+) -> LearnedMotion:
+    """Returns what the person learns from free play near own fingertips p_HF (F, 3), m."""
+    step = max(1, round(config.comparison_time / play.period))
+    noise = motion_noise(config, config.comparison_time)
+    own, robot = play.p_HF[::step], play.p_BF[::step]
+    learned = LearnedMotion.unlearned(p_HF.shape[0], config)
+    moved = np.diff(own, axis=0)
+    near = np.linalg.norm(own[1:] - p_HF, axis=-1) < config.neighbourhood
+    far_enough = np.linalg.norm(moved, axis=-1) > config.least_motion
+    seen = np.diff(robot, axis=0) + rng.normal(0, noise, moved.shape)
+    for t, finger in np.argwhere(near & far_enough):
+        learned = learned.compared(finger, moved[t, finger], seen[t, finger], noise, 0.0, 0.0)
+    return learned

@@ -1,0 +1,115 @@
+"""Perception of the simulated person: what is seen and felt, with errors of vision and touch."""
+
+import dataclasses as dc
+import functools
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+
+from geort_drake.simulation.person.config import OperatorConfig
+from geort_drake.systems.port_values import rotation_of_vector, vector_to_pose
+
+# The person looks ahead and down, along this direction in W.
+GAZE_W = np.array([0.8, 0.0, -0.6])
+
+
+@dc.dataclass(frozen=True)
+class Seen:
+    """The scene as the person sees it."""
+
+    p_WF: np.ndarray  # (F, 3) robot fingertips, m
+    X_WB: RigidTransform  # robot hand base
+    X_WO: RigidTransform  # object
+    contact: np.ndarray  # (F,) force between each robot finger and the object, N
+    X_WP: RigidTransform | None = None  # where the object belongs
+    shown: Mapping[str, np.ndarray] = dc.field(default_factory=dict)  # what the task shows, by name
+
+    @classmethod
+    def of_ports(cls, values: Mapping[str, np.ndarray]) -> "Seen":
+        """Returns the scene from the values of ports; without `place_pose`, the object has no place."""
+        poses = {name: vector_to_pose(value) for name, value in values.items() if name.endswith("_pose")}
+        return cls(
+            p_WF=values["fingertips"].reshape(-1, 3),
+            X_WB=poses["hand_pose"],
+            X_WO=poses["object_pose"],
+            contact=values["contact"],
+            X_WP=poses.get("place_pose"),
+            shown=values,
+        )
+
+    @functools.cached_property
+    def X_BW(self) -> RigidTransform:
+        """Inverse of `X_WB`."""
+        return self.X_WB.inverse()
+
+    @functools.cached_property
+    def p_BF(self) -> np.ndarray:
+        """(F, 3) robot fingertips in the frame of the hand's base, m."""
+        return self.X_BW.multiply(self.p_WF.T).T
+
+
+class FreePlay(NamedTuple):
+    """Free play that the person saw before the task: fingertips (T, F, 3), m, of each robot finger."""
+
+    p_HF: np.ndarray  # own fingertips in H
+    p_BF: np.ndarray  # robot fingertips in B
+    period: float = 1 / 30  # s between two frames
+
+
+@dc.dataclass(frozen=True)
+class VisualError:
+    """Present errors of vision."""
+
+    # (F + 2, 3) position errors of fingertips, hand and place relative to the object, in W, m; and (3, 3)
+    # rotation errors of object, hand and place as rotation vectors, rad.
+    p: np.ndarray
+    turn: np.ndarray
+
+    @classmethod
+    def draw(cls, num_fingers: int, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
+        """Returns independent errors of the configured sizes."""
+        n = rng.normal(size=(num_fingers + 2, 3))
+        across, along = config.visual_noise, config.visual_depth_noise
+        p = across * n + (along - across) * (n.dot(GAZE_W)[:, None] * GAZE_W)
+        return cls(p, rng.normal(0, config.visual_turn_noise, (3, 3)))
+
+    def later(self, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
+        """Returns the errors one period later."""
+        share = math.exp(-config.period / config.visual_noise_time) if config.visual_noise_time else 0.0
+        new, weight = VisualError.draw(len(self.p) - 2, config, rng), math.sqrt(1 - share**2)
+        return VisualError(share * self.p + weight * new.p, share * self.turn + weight * new.turn)
+
+
+def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.random.Generator) -> Seen:
+    """Returns the scene with errors of vision, and with new noise on forces at each call.
+
+    Only positions relative to the object matter, so the object's own position has no error.
+    """
+    turn_O, turn_B, turn_P = map(rotation_of_vector, error.turn)
+
+    def moved(X: RigidTransform, turn: RotationMatrix, p: np.ndarray) -> RigidTransform:
+        return RigidTransform(turn @ X.rotation(), X.translation() + p)
+
+    factor = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
+    return Seen(
+        scene.p_WF + error.p[:-2],
+        moved(scene.X_WB, turn_B, error.p[-2]),
+        moved(scene.X_WO, turn_O, np.zeros(3)),
+        # A felt force is never negative.
+        scene.contact * np.maximum(factor, 0) * config.touch,
+        scene.X_WP and moved(scene.X_WP, turn_P, error.p[-1]),
+        scene.shown,
+    )
+
+
+def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:
+    """Returns the low-passed value over about `judging_time`; single samples are noisier than the tolerances.
+
+    `before` is the average one period ago; None at the first sample.
+    """
+    if before is None:
+        return now
+    return before + config.period / (config.period + config.judging_time) * (now - before)
