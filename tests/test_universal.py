@@ -234,13 +234,14 @@ def test_an_interrupted_training_resumes_to_the_same_weights(tmp_path, monkeypat
 
 @pytest.mark.training
 def test_a_short_training_serves_people_it_has_not_seen(training_seed, reaches):
-    """In 150 steps, motions of unseen people's fingertips turn from random directions to their own."""
+    """In 300 steps, motions of unseen people's fingertips turn from random directions to their own."""
     hand, _ = shipped("allegro_right")
-    retarget = train_universal(canonical_kinematics(hand), canonical_shapes(hand), QUICK, training_seed)
+    settings = dataclasses.replace(QUICK, steps=300)
+    retarget = train_universal(canonical_kinematics(hand), canonical_shapes(hand), settings, training_seed)
     for person in range(3):
         own = retarget.for_person(play(person)[:30])
         p_HF = play(person)[:, own.human_keypoints]
-        reaches(f"direction of person {person}", 1.0 - motion_cosine(own, hand, p_HF), 0.5)
+        reaches(f"direction of person {person}", 1.0 - motion_cosine(own, hand, p_HF), 0.6)
 
 
 def test_unusable_settings_and_hands_are_refused():
