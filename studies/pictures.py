@@ -231,7 +231,7 @@ def record_objects(folder: Path, _arguments: argparse.Namespace) -> None:
 
 PICTURES = {
     "explorer": Picture(record_explorer, "explorer.rrd", 4.0),
-    "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 5.0),
+    "grasp": Picture(record_grasp, "grasp/cylinder-0.rrd", 6.6),
     "grasp_film": Picture(record_grasp, "grasp/cylinder-0.rrd", moves=True),
     "keys": Picture(record_keys, "keys/keys-0.rrd", 6.9),
     "pick_place": Picture(record_pick_place, "pick_place/block_20-0.rrd", 6.3),

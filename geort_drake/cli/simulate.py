@@ -175,14 +175,16 @@ class Grasp(Command, ScenarioOptions):
         from geort_drake.console import print_table, say
         from geort_drake.simulation.tasks.grasp import explained
 
+        grasps = all(result.task == "grasp" for result in results)
         print_table(
             ("object", "seed", "outcome", "hold at", "attempts", "height", "force", "speed"),
             [_row(result) for result in results],
-            title="Grasps",
+            title="Grasps" if grasps else "Trials",
             caption="hold at: when the successful hold began; height, force: peak; speed: times real time",
             text=("outcome",),
         )
-        say(f"{sum(result.success for result in results)} of {len(results)} held")
+        successes = sum(result.success for result in results)
+        say(f"{successes} of {len(results)} {'held' if grasps else 'succeeded'}")
         for result in results:
             if not result.success:
                 where = f"; watch {result.object}-{result.seed}.rrd" if self.rerun else ""
@@ -219,13 +221,15 @@ class Grasp(Command, ScenarioOptions):
         A session of another task uses that task's scenario, unless an option selects one.
         """
         from geort_drake import load_hand, load_scenario, read_recording
+        from geort_drake.simulation.tasks import find_task
 
         base = self._base()
         name, path = self.scenario_name, self.replay
         if path is None:
-            if base.fixed_base:
+            if base.fixed_base and find_task(base.task).cases_of is not None:  # an object to go to
                 raise ScenarioError(
-                    f"scenario '{name}': the operator cannot grasp with a fixed base; give a --replay"
+                    f"scenario '{name}': the person cannot do the task '{base.task}' with a fixed base; "
+                    "give a --replay"
                 )
             return base, None
         replay = read_recording(path, self.side or load_hand(base.hand).side)
