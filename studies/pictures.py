@@ -25,7 +25,7 @@ SIZE = (1440, 900)  # px
 # Heights of the viewer's menu and time controls, which are cropped, px.
 TOP, BOTTOM = 37, 30
 # Part of the window shown in a film, a row of views: left, top, right, bottom, as fractions of the window.
-FILM_PART = (0.0, 0.075, 1.0, 0.484)
+FILM_PART = (0.0, 0.075, 0.75, 0.484)
 FILM_HZ, FILM_WIDTH, FILM_QUALITY = 8, 1200, 60
 EPILOG = """\
 Everything is recorded from scratch, which takes some minutes. On a machine without a
