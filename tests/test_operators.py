@@ -258,11 +258,18 @@ def test_the_person_tries_again_when_the_object_stays_behind():
     assert session.raised > 0.1
 
 
-def test_the_grasp_also_holds_without_touch_and_in_a_noisier_scene():
-    """Without touch, fingers close until they come no further. The noise is twice as large."""
+def test_the_grasp_also_holds_without_touch():
+    """Fingers close until they come no further."""
     session = act(1.5, touch=False)
     assert session.phases == STRAIGHT and session.raised > 0.1
-    noisy = {name: 2 * getattr(OperatorConfig(), name) for name in QUIET}
+
+
+@pytest.mark.parametrize(
+    "factor",
+    [2, pytest.param(4, marks=pytest.mark.xfail(reason="the hand is never shaped; the cause is open"))],
+)
+def test_the_grasp_also_holds_in_a_noisier_scene(factor):
+    noisy = {name: factor * getattr(OperatorConfig(), name) for name in QUIET}
     session = act(1.5, **noisy)
     assert session.phases == STRAIGHT and session.attempts == 1
 

@@ -189,7 +189,8 @@ def test_a_left_hand_has_its_place_on_the_other_side(task):
     assert pose_to_vector(left)[:4] == pytest.approx(pose_to_vector(right)[:4])
 
 
-KEYS = "presses: 4, enough: 2, ready_time: 3.0, cue_time: 2.0"
+MORE_KEYS = "presses: 4, enough: 2, ready_time: 3.0, cue_time: 2.0"
+KEYS = "presses: 2, enough: 2, ready_time: 3.0, cue_time: 2.0"
 PLACES = {
     "keys": lambda goal: [goal.p_BK, goal.p_BF_open, goal.p_BF_pressed],
     "cap": lambda goal: [goal.fingertips(share * goal.stroke, 0.003) for share in (0.0, 0.4, 1.0)],
@@ -221,8 +222,12 @@ def test_the_mirror_has_the_same_places(task):
 @pytest.mark.parametrize(
     ("task", "method", "kind", "settings", "least", "most"),
     [
-        ("keys", "affine_ik", "adaptive", KEYS, 0.5, 1.0),
-        ("keys", "affine_ik", "mimicry", KEYS, 0.5, 1.0),
+        pytest.param(
+            *("keys", "affine_ik", "adaptive", KEYS, 1.0, 1.0),
+            marks=pytest.mark.xfail(reason="one of two presses moves another key as well"),
+        ),
+        ("keys", "affine_ik", "adaptive", MORE_KEYS, 0.5, 1.0),
+        ("keys", "affine_ik", "mimicry", KEYS, 1.0, 1.0),
         ("keys", "hold", "servo", KEYS, 0.0, 0.0),
         ("cap", "affine_ik", "adaptive", "turn: 90", 1.0, 1.0),
         ("cap", "hold", "adaptive", "turn: 90", 0.0, 0.05),
@@ -233,7 +238,15 @@ def test_the_mirror_has_the_same_places(task):
             ),
         ),
         ("pick_place", "universal", "servo", "", 1.0, 1.0),
+        pytest.param(
+            *("pick_place", "affine_ik", "servo", "", 1.0, 1.0),
+            marks=pytest.mark.xfail(reason="the low block is carried and not put down in time"),
+        ),
         ("peg", "affine_ik", "adaptive", "", 1.0, 1.0),
+        pytest.param(
+            *("peg", "affine_ik", "servo", "", 1.0, 1.0),
+            marks=pytest.mark.xfail(reason="loses the dowel with this seed"),
+        ),
         ("grasp", "affine_ik", "adaptive", "", 1.0, 1.0),
         ("grasp", "affine_ik", "mimicry", "", 1.0, 1.0),
     ],
