@@ -24,8 +24,7 @@ from geort_drake import (
 from geort_drake.cli import run_command
 from geort_drake.cli.simulate import try_out
 from geort_drake.errors import HandError, OutputError
-from geort_drake.hands.clearance import HandClearance
-from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.collision import HandClearance, collision_shapes
 from geort_drake.hands.description import write_description
 from geort_drake.hands.importers.arrangement import fingers_by_name
 from geort_drake.hands.importers.checks import examine

@@ -12,8 +12,7 @@ from geort_drake import synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import TrainingError
 from geort_drake.metrics import compare
-from geort_drake.metrics.compare import Comparison, better, summary, worst
-from geort_drake.metrics.protocols import GUARD_S, held_out
+from geort_drake.metrics.compare import GUARD_S, Comparison, better, held_out, summary, worst
 from geort_drake.retargeting.online import AnyTeleop
 
 

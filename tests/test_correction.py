@@ -11,7 +11,7 @@ from grasp_setup import allegro
 from system_bench import SystemBench
 
 from geort_drake.errors import HandError, PolicyError
-from geort_drake.hands.clearance import HandClearance
+from geort_drake.hands.collision import HandClearance
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.policy_correction import POLICY_FAILED, PolicyCorrection, load_policy

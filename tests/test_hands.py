@@ -14,7 +14,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake import Hand, load_hand, load_scenario
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import add_hand_model
-from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.collision import collision_shapes
 from geort_drake.hands.description import CouplingDescription, HandDescription, write_description
 from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose

@@ -32,7 +32,7 @@ from geort_drake.live.joint_messages import (
 )
 from geort_drake.live.messages import GloveFrame, decode, encode_frame
 from geort_drake.live.robot_buses import ALLEGRO, PANDA, Device, open_bus, open_stand_in_bus
-from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.robots import RobotLink
 from geort_drake.live.transports import (
     LOCAL_LCM,
     MAX_BYTES,

@@ -16,11 +16,10 @@ from system_bench import SystemBench, Watch, joint_plant
 
 from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import LiveError, MismatchError, RecordingError
-from geort_drake.live.delay import DelayMeter
-from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream
+from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream, SenderClock
 from geort_drake.live.messages import GloveFrame, encode_frame
-from geort_drake.live.sender_clock import SenderClock
 from geort_drake.live.session import STEADY_S, EnterKey, SteadyState, play, run_in_real_time
+from geort_drake.live.teleoperation import DelayMeter
 from geort_drake.live.watchdog import EngageSwitch, Watchdog
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_status import FROZEN, HELD_LOST, HELD_STALE, LIMITED

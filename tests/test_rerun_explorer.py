@@ -6,14 +6,14 @@ from rerun_world import entities, read, rerun
 
 from geort_drake import Recording
 from geort_drake.errors import RecordingError
-from geort_drake.metrics.exploration import (
+from geort_drake.metrics.explorer import (
     excerpt,
     find_pinches,
     proportional_copy,
     response,
     windowed_cosines,
+    write_exploration,
 )
-from geort_drake.metrics.explorer_recording import write_exploration
 from geort_drake.people.keypoints import mirrored
 
 

@@ -6,7 +6,7 @@ import torch
 
 from geort_drake import Hand, load_hand
 from geort_drake.errors import HandError
-from geort_drake.hands.collision_shapes import collision_shapes
+from geort_drake.hands.collision import collision_shapes
 from geort_drake.hands.model_search import find_model
 from geort_drake.retargeting.collision import CollisionGaps
 

@@ -11,7 +11,7 @@ from retargeting_toy import toy_kinematics
 
 from geort_drake import load_retargeter
 from geort_drake.errors import GeortError, MapError, MismatchError, RecordingError, TrainingError
-from geort_drake.hands.collision_shapes import canonical_shapes
+from geort_drake.hands.collision import canonical_shapes
 from geort_drake.hands.hand import Hand, canonical_kinematics
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic.population import sample_person

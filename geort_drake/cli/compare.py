@@ -68,8 +68,16 @@ class Evaluate(Command):
         from geort_drake import Hand, read_recording
         from geort_drake.console import console, progress_bar, warn
         from geort_drake.methods import names_of
-        from geort_drake.metrics.compare import Comparison, Row, failures, report, tables
-        from geort_drake.metrics.protocols import held_out, other_person, same_person
+        from geort_drake.metrics.compare import (
+            Comparison,
+            Row,
+            failures,
+            held_out,
+            other_person,
+            report,
+            same_person,
+            tables,
+        )
 
         hand = Hand(self.hand)
         methods = list(dict.fromkeys(self.methods or methods_for(self.hand)))
@@ -136,8 +144,7 @@ class Explore(Command):
         from geort_drake.console import track
         from geort_drake.methods import names_of, resolve
         from geort_drake.metrics.evaluation import adapted
-        from geort_drake.metrics.exploration import excerpt, response
-        from geort_drake.metrics.explorer_recording import write_exploration
+        from geort_drake.metrics.explorer import excerpt, response, write_exploration
         from geort_drake.retargeting.train import training_recording
 
         hand = Hand(self.hand)

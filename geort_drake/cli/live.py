@@ -84,8 +84,7 @@ class Live(Command, ScenarioOptions):
         from geort_drake.console import warn
         from geort_drake.live.glove_stream import GloveStream
         from geort_drake.live.robot_buses import ROBOT_PATTERNS, open_bus
-        from geort_drake.live.robot_link import RobotLink
-        from geort_drake.live.robots import SimulatedRobot, open_meshcat
+        from geort_drake.live.robots import RobotLink, SimulatedRobot, open_meshcat
         from geort_drake.live.session import EnterKey, run_session, stopping
         from geort_drake.live.teleoperation import make_teleoperation
         from geort_drake.live.transports import is_address, open_receiver, split_address

@@ -8,7 +8,7 @@ from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.live.glove_stream import NOTABLE_DRIFT
-from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.robots import RobotLink
 from geort_drake.live.session import SessionReport
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.methods import default_method, names_of, resolve

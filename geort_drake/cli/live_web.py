@@ -12,7 +12,7 @@ from geort_drake.errors import GeortError, UsageError
 from geort_drake.files import require_writable
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.live.robot_buses import open_bus
-from geort_drake.live.robot_link import RobotLink
+from geort_drake.live.robots import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.hands import RecordedHand

@@ -180,7 +180,7 @@ class Train(Command):
         """
         from geort_drake import Hand, load_retargeter
         from geort_drake.console import progress_bar
-        from geort_drake.hands.collision_shapes import canonical_shapes
+        from geort_drake.hands.collision import canonical_shapes
         from geort_drake.hands.hand import canonical_kinematics
         from geort_drake.retargeting.universal.mirror import mirrored_map
         from geort_drake.retargeting.universal.train import train_universal

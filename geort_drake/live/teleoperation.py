@@ -1,17 +1,19 @@
 """Builds the diagram: glove → engage switch → retargeting → watchdog → correction → robot."""
 
 import dataclasses as dc
+import math
+import time
+from collections import deque
 from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem, System
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.live.delay import DelayMeter
 from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream
 from geort_drake.live.robots import SimulatedRobot
-from geort_drake.live.watchdog import EngageSwitch, Watchdog
+from geort_drake.live.watchdog import AFTER, EngageSwitch, Watchdog
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
 from geort_drake.simulation.judge import Outcome
@@ -20,9 +22,55 @@ from geort_drake.simulation.task import Stage
 from geort_drake.systems.action_correction import ActionCorrection
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import HELD_LOST
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.wrist_to_arm import WristChecks, WristToArm
+
+_MAX_SAMPLES = 3_000
+
+
+class DelayMeter(PythonSystem):
+    """Measures how long joint targets take, on this machine's clock.
+
+    It takes a sample for the first command after new keypoints, if that differs from the command before it,
+    and keeps the newest 3,000 samples.
+
+    Input ports:
+        sent (1): when the newest keypoints were measured, s, on `clock`; NaN before the first.
+        command (2n): joint positions (rad), then velocities (rad/s), as sent to the robot.
+
+    Args:
+        num_joints: n.
+        period: time between commands, s.
+        clock: clock of `sent`, s.
+    """
+
+    def __init__(self, num_joints: int, period: float, clock: Callable[[], float] = time.monotonic):
+        super().__init__()
+        self._n, self._clock = num_joints, clock
+        self._samples: deque[float] = deque(maxlen=_MAX_SAMPLES)
+        self._last_sent, self._last_command = math.nan, np.full(num_joints, math.nan)
+        self._sent = self.DeclareVectorInputPort("sent", 1)
+        self._command = self.DeclareVectorInputPort("command", 2 * num_joints)
+        self.DeclarePeriodicPublishEvent(period, 2 * AFTER, self._sample)
+
+    def delay(self, newest: int = _MAX_SAMPLES) -> dict[str, float | int | None]:
+        """Returns `count`, `median` and `p99` (s) of the newest samples; None without samples."""
+        samples = list(self._samples)[-newest:]
+        if not samples:
+            return {"count": 0, "median": None, "p99": None}
+        median, p99 = np.percentile(samples, [50, 99]).tolist()
+        return {"count": len(samples), "median": median, "p99": p99}
+
+    def _sample(self, context: Context) -> EventStatus:
+        sent, q = float(self._sent.Eval(context)[0]), self._command.Eval(context)[: self._n].copy()
+        changed = not np.array_equal(q, self._last_command)
+        if math.isfinite(sent) and sent != self._last_sent and changed:
+            self._samples.append(self._clock() - sent)
+        self._last_sent, self._last_command = sent, q
+        return EventStatus.Succeeded()
+
 
 # Shown in place of HELD_LOST when late frames are the reason.
 HELD_LATE = "held: the glove's frames come late"

@@ -13,8 +13,7 @@ import numpy as np
 
 from geort_drake.errors import RecordingError, UnknownNameError, naming
 from geort_drake.people.checks import UNITS_M, examine, require_wrist_frame_hand, training_faults
-from geort_drake.people.contents import load
-from geort_drake.people.formats import FORMATS
+from geort_drake.people.formats import FORMATS, load
 from geort_drake.people.recording import SIDES, Recording
 
 # For files without timestamps. At 30 Hz, GeoRT's recording has fingertip speeds (99th percentile 1 m/s) that

@@ -7,7 +7,7 @@ from pydrake.systems.framework import BasicVector, Context, DiscreteValues, Even
 from scipy.optimize import nnls
 
 from geort_drake.errors import HandError
-from geort_drake.hands.clearance import HandClearance
+from geort_drake.hands.collision import HandClearance
 from geort_drake.hands.hand import Hand
 from geort_drake.systems.action_correction import CorrectionConfig, PeriodicCorrection
 from geort_drake.systems.joint_limits import JointLimits

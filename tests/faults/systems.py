@@ -12,7 +12,7 @@ from system_bench import Bench, Watch
 
 from faults.sound import LOWER, UPPER, play, smooth_retargeter
 from geort_drake import Hand
-from geort_drake.hands.clearance import HandClearance
+from geort_drake.hands.collision import HandClearance
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 

@@ -8,8 +8,7 @@ from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.hand import Hand
-from geort_drake.hands.importers.finger_shapes import finger_shapes, unit
-from geort_drake.hands.importers.fingertips import Part, parts_of
+from geort_drake.hands.importers.fingers import Part, finger_shapes, parts_of, unit
 from geort_drake.hands.importers.structure import HandStructure
 from geort_drake.people.keypoints import FINGER_NAMES
 

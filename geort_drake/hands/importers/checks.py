@@ -10,8 +10,7 @@ from scipy.optimize import least_squares
 
 from geort_drake.errors import listed
 from geort_drake.hands.hand import Hand
-from geort_drake.hands.importers.finger_shapes import finger_shapes, unit
-from geort_drake.hands.importers.fingertips import parts_of
+from geort_drake.hands.importers.fingers import finger_shapes, parts_of, unit
 
 # Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi

@@ -18,7 +18,7 @@ from geort_drake.hands.description import (
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.arrangement import arrange
 from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
-from geort_drake.hands.importers.fingertips import describe_finger, parts_of
+from geort_drake.hands.importers.fingers import describe_finger, parts_of
 from geort_drake.hands.importers.structure import HandStructure, read_structure
 from geort_drake.hands.links import joint_paths, position_limits
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT

@@ -15,8 +15,7 @@ from geort_drake.errors import GeortError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.live.glove_stream import GloveStream
-from geort_drake.live.robot_link import RobotLink
-from geort_drake.live.robots import SimulatedRobot
+from geort_drake.live.robots import RobotLink, SimulatedRobot
 from geort_drake.live.session import STEP_S, SessionReport, run_in_real_time, run_session
 from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl

@@ -10,7 +10,7 @@ from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import FingerDescription, HandDescription
-from geort_drake.hands.importers.fingertips import parts_of
+from geort_drake.hands.importers.fingers import parts_of
 from geort_drake.hands.links import palm_links, tip_geometries
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.plan.contacts import Contact
