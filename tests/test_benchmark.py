@@ -6,19 +6,23 @@ import shutil
 import numpy as np
 import pytest
 import yaml
-from grasp_setup import TOO_SHORT, human_with, judged, plan_once, planned_goal, reach_goal
+from grasp_setup import TOO_SHORT, human_with, judged, plan_once, planned_goal, reach_goal, started
 
-from geort_drake import load_hand, load_scenario, make_trial_diagram, run_trial
+from geort_drake import Hand, load_hand, load_scenario, make_trial_diagram, run_trial
 from geort_drake.benchmark import run as benchmark_run
 from geort_drake.benchmark import trials
 from geort_drake.benchmark.log import TrialKey, key_of, read_rows
-from geort_drake.benchmark.run import Benchmark, Settings, Variant, read_settings, vary
+from geort_drake.benchmark.run import Benchmark, Settings, Variant, read_scenarios, read_settings, vary
 from geort_drake.cli import main, run_command
-from geort_drake.errors import BenchmarkError, ScenarioError, UnknownNameError, UsageError
+from geort_drake.errors import BenchmarkError, ScenarioError, UsageError
+from geort_drake.live.web.watched_trial import make_watched_trial
+from geort_drake.methods import resolve
 from geort_drake.resources import models_dir
+from geort_drake.retargeting.train import training_recording
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.following import robot_model
 from geort_drake.simulation.plan.grasp import GraspPlanner
+from geort_drake.simulation.trial import TrialBuilder
 
 pytestmark = pytest.mark.usefixtures("light_benchmark")
 GRASP = ("grasp", "servo", "")
@@ -68,7 +72,7 @@ def test_every_trial_has_its_row_and_the_report_its_figures(finished):
     assert list(rows_of(finished)) == [key(name, seed) for seed in (0, 1) for name in ("hold", "affine_ik")]
     report = (finished / "report.md").read_text()
     assert "| hold | 2 | 0 [0, " in report and "| affine_ik | 2 | 0 [0, " in report
-    assert "2 × timeout: reach (" in report and "Simulated latencies: hold 0." in report
+    assert "2 × timeout: reach (" in report and "Simulated latencies: those of the scenarios" in report
     for name in ("success.svg", "completion.svg"):
         assert f"]({name})" in report and "<svg" in (finished / name).read_text()
 
@@ -140,7 +144,7 @@ def test_other_settings_are_refused_by_name_and_other_versions_cause_a_warning(c
     for options, message in (
         (["--scenario-text", "{timeout: 0.4}"], r"another grasp servo\.timeout: 0\.3, not 0\.4"),
         (["--seed", "3"], "another seed: 0, not 3"),
-        (["--zero-latency"], "another zero_latency: False, not True"),
+        (["--measure-latency"], "another measure_latency: False, not True"),
     ):
         with pytest.raises(BenchmarkError, match=message):
             run(copy, *options)
@@ -223,7 +227,7 @@ def test_a_case_that_the_hand_cannot_do_is_reported_first_and_left_out(tmp_path,
     """It is no failure of a method; the others run."""
     reason = "the robot cannot grasp object 'rod'"
     monkeypatch.setattr(
-        benchmark_run, "plan", lambda _, name: reason if name == "rod" else [planned_goal("cylinder")]
+        benchmark_run, "plan", lambda text: reason if "name: rod" in text else [planned_goal("cylinder")]
     )
     assert run(tmp_path, "--methods", "hold", "--objects", "rod", "cylinder") == 0
     assert {each.object for each in rows_of(tmp_path)} == {"cylinder"}
@@ -247,30 +251,31 @@ def test_a_task_that_the_hand_cannot_do_is_left_out_with_its_reason(tmp_path, ca
 
 
 def test_several_tasks_share_one_folder(tmp_path, monkeypatch):
-    """One log and one report; a trial of any task can be recorded."""
+    """They have one log and one report."""
     plan_once(monkeypatch, "keys")
     options = ["--methods", "hold", "--trials", "1", "--kinds", "servo"]
     assert run(tmp_path, *options, "--tasks", "keys", "grasp", "--objects", "cylinder") == 0
     assert [each.task for each in rows_of(tmp_path)] == ["keys", "grasp"]
     report = (tmp_path / "report.md").read_text()
     assert "## keys, servo people" in report and "## grasp, servo people" in report
-    assert main(["benchmark", "--output", str(tmp_path), "--rrd", "hold", "keys", "0", "--quiet"]) == 0
-    (path,) = (tmp_path / "rrd").glob("*.rrd")
-    assert path.stat().st_size > 20_000
 
 
-def test_a_repeated_trial_that_differs_causes_a_warning(copy, capsys):
-    path = copy / "trials.jsonl"
-    repeat = ["benchmark", ["--output", str(copy), "--rrd", "affine_ik", "cylinder", "1"]]
-    assert run_command(*repeat) == 0
-    assert "differs" not in capsys.readouterr().err
-    path.write_text(path.read_text().replace('"peak_height": ', '"peak_height": 1'))
-    assert run_command(*repeat) == 0
-    assert "differs from" in " ".join(capsys.readouterr().err.split())
-    with pytest.raises(
-        UnknownNameError, match=r"finished trial 'hold cylinder 7'.*hold, grasp, servo, cylinder"
-    ):
-        run_command("benchmark", ["--output", str(copy), "--rrd", "hold", "cylinder", "7"])
+def test_a_trial_is_the_same_in_a_benchmark_in_the_command_grasp_and_on_the_page(tmp_path):
+    """Bit for bit, for the same method, object and seed."""
+    options = ["--scenario-text", "{timeout: 2.5, random_seed: 4}", "--objects", "cylinder", "--trials", "1"]
+    folder = tmp_path / "benchmark"
+    assert run_command("benchmark", ["--output", str(folder), "--methods", "universal", *options]) == 0
+    row = rows_of(folder)[key("universal", 4)]
+    assert run_command("grasp", ["--output", str(tmp_path / "grasp"), "--no-rerun", *options]) == 0
+    (result,) = json.loads((tmp_path / "grasp" / "results.json").read_text())["trials"]
+    assert result["operator_phase"] == "approach" and judged(result) == judged({n: row[n] for n in result})
+    scenario = read_scenarios(folder)[Variant("grasp", "servo")]
+    builder = TrialBuilder(Hand("allegro_right"), training_recording(None, "right", 0))
+    page = make_watched_trial(builder, scenario, resolve("universal", Hand("allegro_right"))[0])
+    simulator = started(page.parts)
+    simulator.AdvanceTo(scenario.timeout)
+    metrics = page.outcome(simulator.get_context()).metrics
+    assert metrics == {name: row[name] for name in metrics}
 
 
 def test_trained_methods_are_trained_several_times_and_others_once(tmp_path, monkeypatch):
@@ -292,7 +297,7 @@ def test_trained_methods_are_trained_several_times_and_others_once(tmp_path, mon
     assert list(rows_of(tmp_path)) == [key("hold", 0), key("geort", 0), key("geort", 0, training=1)]
 
 
-def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, monkeypatch):
+def test_every_method_has_the_scenarios_latency_or_the_measured_one(tmp_path, monkeypatch):
     """It is in the settings and in the scenario of its trials, which share a model of the robot."""
     used = []
 
@@ -301,16 +306,18 @@ def test_every_method_has_its_measured_latency_unless_none_is_wanted(tmp_path, m
 
     monkeypatch.setattr(trials, "run_trial", use)
     stored = {}
-    for name, zero in (("measured", False), ("zero", True)):
-        settings = Settings(zero_latency=zero)
-        scenarios = {Variant("grasp", "servo"): load_scenario(text=TOO_SHORT)}
+    for name, measure in (("measured", True), ("scenario", False)):
+        settings = Settings(measure_latency=measure)
+        text = TOO_SHORT.replace("}", ", retargeting: {latency: 0.004}}")
+        scenarios = {Variant("grasp", "servo"): load_scenario(text=text)}
         methods = {"hold": "hold", "anyteleop": "anyteleop"}
         benchmark = Benchmark(tmp_path / name, settings, scenarios, methods)
         list(benchmark.plan([key("hold", 0)], 1, "loky"))
-        trials.simulate(benchmark.trial(key("hold", 0)))
+        trials.simulate(key("hold", 0), benchmark.trial(key("hold", 0)))
         stored[name] = {method: entry["latency_s"] for method, entry in settings.methods.items()}
     assert stored["measured"]["anyteleop"] > stored["measured"]["hold"] > 0
-    assert [latency for latency, _ in used] == [stored["measured"]["hold"], 0.0] and used[0][1] is used[1][1]
+    assert [latency for latency, _ in used] == [stored["measured"]["hold"], 0.004]
+    assert used[0][1] is used[1][1] and stored["scenario"] == {"hold": None, "anyteleop": None}
 
 
 def test_seeds_are_paired_across_methods(tmp_path):

@@ -13,25 +13,20 @@ from grasp_setup import TOO_SHORT, allegro, human_with, judged
 
 from geort_drake import load_scenario
 from geort_drake.benchmark.log import TrialKey, key_of
-from geort_drake.benchmark.trials import Trial, simulate
+from geort_drake.benchmark.trials import simulate
 from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.errors import BenchmarkError
 from geort_drake.retargeting import METHODS
-from geort_drake.simulation.scenario import dump_scenario
+from geort_drake.simulation.trial import Trial
 
 
-def trial(method: str, seed: int, scenario_text: str = TOO_SHORT) -> Trial:
-    """A trial of a method that needs no training."""
-    hand = allegro()
-    retarget = METHODS[method].fit(hand)
-    text = dump_scenario(load_scenario(text=scenario_text))
-    return Trial(
-        TrialKey(method, 0, "grasp", "servo", "", "cylinder", 0, seed),
-        text,
-        retarget,
-        0.0,
-        human_with(clearance=np.inf),
-    )
+def trial(method: str, seed: int, scenario_text: str = TOO_SHORT) -> tuple[TrialKey, Trial]:
+    """A trial of a method that needs no training, with its key."""
+    scenario = load_scenario(text=scenario_text)
+    scenario.random_seed = seed
+    retarget = METHODS[method].fit(allegro())
+    key = TrialKey(method, 0, "grasp", "servo", "", "cylinder", 0, seed)
+    return key, Trial(scenario, retarget, human_with(clearance=np.inf))
 
 
 @pytest.fixture(scope="module")
@@ -43,22 +38,22 @@ def short():
 @pytest.fixture(scope="module")
 def alone(short):
     """Their results in this process."""
-    results = [judged(simulate(each)) for each in short]
+    results = [judged(simulate(*each)) for each in short]
     assert not any("error" in result for result in results)
     return results
 
 
-def simulated(trial: Trial) -> tuple[int, dict]:
+def simulated(key: TrialKey, trial: Trial) -> tuple[int, dict]:
     """The process, and the trial's result without the time it took."""
-    return os.getpid(), judged(simulate(trial))
+    return os.getpid(), judged(simulate(key, trial))
 
 
-def results_of(trials: list[Trial], jobs: int, backend: str = "loky") -> tuple[set[int], list[dict]]:
+def results_of(
+    trials: list[tuple[TrialKey, Trial]], jobs: int, backend: str = "loky"
+) -> tuple[set[int], list[dict]]:
     """The processes that worked, and the trials' results in their order."""
-    processes, done = zip(
-        *call_in_workers(simulated, ((each,) for each in trials), jobs, backend), strict=True
-    )
-    order = [each.key for each in trials]
+    processes, done = zip(*call_in_workers(simulated, trials, jobs, backend), strict=True)
+    order = [key for key, _ in trials]
     return {*processes}, sorted(done, key=lambda result: order.index(key_of(result)))
 
 
@@ -66,7 +61,7 @@ def test_other_processes_give_the_same_results(short, alone):
     """Bit for bit, with contacts and with a method that continues from its last answer."""
     quick = "operator: {peak_wrist_speed: 1.2, max_fingertip_speed: 1.5}"
     grasp = trial("anyteleop", 0, f"{{timeout: 6.0, {quick}}}")  # the object is touched after 4.3 s
-    touched = judged(simulate(grasp))
+    touched = judged(simulate(*grasp))
     # Small differences would grow in contact.
     assert {"TOUCH", "GRASP"} <= touched["phase_times"].keys() and touched["peak_force"] > 0.1
     assert results_of([grasp, *short], jobs=2)[1] == [touched, *alone]

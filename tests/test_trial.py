@@ -22,11 +22,12 @@ from system_bench import SystemBench
 
 from geort_drake import Recording, run_trial, synthesize_play
 from geort_drake.retargeting import METHODS
-from geort_drake.simulation.free_play import keep_reached, persons_hand, seen_fingertips
+from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks.grasp import GraspPhase
+from geort_drake.simulation.trial import TrialBuilder
 from geort_drake.simulation.worn_glove import WornGlove, WornGloveConfig
 
 KINDS = ("command", "measured")
@@ -243,7 +244,7 @@ def test_the_object_is_lifted_with_every_fault_at_once():
 def test_another_person_has_another_hand():
     """The same one for the same number."""
     play = synthesize_play(seed=0, duration_s=10)
-    own, first, other = (persons_hand(scenario_with(text=f"{{person: {k}}}"), play) for k in (0, 1, 2))
-    again = persons_hand(scenario_with(text="{person: 1}"), play)
+    builder = TrialBuilder(allegro(), play)
+    own, first, other, again = (builder.person(number) for number in (0, 1, 2, 1))
     np.testing.assert_array_equal(first.lengths, again.lengths)
     assert len({hand.lengths.sum() for hand in (own, first, other)}) == 3

@@ -160,9 +160,10 @@ def _markdown(report: Report) -> str:
         parts += [f"![Success in changed scenarios]({VARIED})"]
     version = settings.provenance.get("versions", {}).get("geort_drake")
     commit = (settings.provenance.get("git") or {}).get("commit", "unknown")
-    latencies = ", ".join(
-        f"{name} {1e3 * (entry['latency_s'] or 0.0):.2f} ms" for name, entry in settings.methods.items()
-    )
+    latencies = "those of the scenarios"
+    if settings.measure_latency:
+        measured = {name: 1e3 * (entry["latency_s"] or 0.0) for name, entry in settings.methods.items()}
+        latencies = ", ".join(f"{name} {value:.2f} ms" for name, value in measured.items())
     parts += [
         "## How it was made",
         f"Person: {settings.operator or settings.recording or f'synthetic play, seed {settings.seed}'}. "

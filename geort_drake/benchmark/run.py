@@ -4,9 +4,9 @@ FOLDER/trials.jsonl     one row per finished trial: the result
 FOLDER/settings.json    what determines the trials, with digests and versions
 FOLDER/scenarios.yaml   the scenarios, named TASK KIND CONDITION
 FOLDER/report.md        see `report`
-FOLDER/rrd/             Rerun recordings of repeated trials
 """
 
+import copy
 import dataclasses as dc
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import yaml
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
-from geort_drake.benchmark.log import TRIALS, Row, TrialKey, TrialLog, key_of, read_rows
-from geort_drake.benchmark.trials import Trial, error_row, plan, simulate
+from geort_drake.benchmark.log import TRIALS, Row, TrialKey, TrialLog, read_rows
+from geort_drake.benchmark.trials import error_row, plan, simulate
 from geort_drake.benchmark.workers import call_in_workers
 from geort_drake.console import warn
-from geort_drake.errors import BenchmarkError, MethodError, ScenarioError, UnknownNameError
+from geort_drake.errors import BenchmarkError, MethodError, ScenarioError
 from geort_drake.files import digest_of, sha256_of, source_digest, write_text
 from geort_drake.hands.hand import Hand
 from geort_drake.methods import is_trained, measure_latency, resolve
@@ -30,10 +30,10 @@ from geort_drake.people.recording import Recording
 from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.train import training_recording
-from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
 from geort_drake.simulation.scenario_files import check_scenario, load_scenario
 from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.trial import Trial, TrialBuilder, plan_key
 from geort_drake.versions import git_state, versions
 
 SETTINGS, SCENARIOS = "settings.json", "scenarios.yaml"
@@ -59,12 +59,13 @@ class Settings:
         operator: file of the recording of the person who operates; None for `recording`.
         side: side of the recorded hand.
         seed: seed of the first training, and of synthetic play.
-        zero_latency: whether methods are simulated without latency.
+        measure_latency: whether a method has the latency that is measured here, instead of the scenario's.
         persons: numbers of the people who operate, see `Scenario.person`.
         objects: cases of the tasks.
         trials: number of seeds, from that of the scenarios on.
         trainings: number of trainings of each trained method.
-        methods: name → `source`, name or path; `latency_s`; `digests`, SHA-256 of each training's weights.
+        methods: name → `source`, name or path; `latency_s`, None if it is not measured; `digests`, SHA-256 of
+            each training's weights.
         refused: "TASK CASE" → why the hand cannot do it; such cases have no trials.
         provenance: digests and versions of what made the trials; not compared, but differences are told.
     """
@@ -73,7 +74,7 @@ class Settings:
     operator: str | None = None
     side: str = "right"
     seed: int = 0
-    zero_latency: bool = False
+    measure_latency: bool = False
     persons: list[int] = dc.field(default_factory=lambda: [0])
     objects: list[str] = dc.field(default_factory=list)
     trials: int = 30
@@ -83,7 +84,7 @@ class Settings:
     provenance: dict[str, Any] = dc.field(default_factory=dict)
 
 
-_FIXED = ("recording", "operator", "side", "seed", "zero_latency")
+_FIXED = ("recording", "operator", "side", "seed", "measure_latency")
 
 
 def read_settings(folder: Path) -> Settings:
@@ -172,7 +173,8 @@ class Benchmark:
             raise BenchmarkError(f"the scenarios have different hands: {', '.join(sorted(hands))}")
         self.hand = Hand(hands.pop())
         self.recording = self._read(settings.recording)
-        self._operator = self._read(settings.operator) if settings.operator else self.recording
+        operator = self._read(settings.operator) if settings.operator else self.recording
+        self._builder = TrialBuilder(self.hand, operator)
         settings.provenance = self._provenance()
         self._earlier: Mapping[Variant, Scenario] = {}
         if (folder / SETTINGS).exists():
@@ -180,8 +182,6 @@ class Benchmark:
         elif (folder / TRIALS).exists() and read_rows(folder / TRIALS):
             raise BenchmarkError(f"{folder}: contains trials but no {SETTINGS}; choose another folder")
         self._maps: dict[tuple[str, int], Retarget] = {}
-        self._plans: dict[tuple[Variant, str], list] = {}
-        self._played: dict[tuple[str, int, Variant, int], tuple] = {}
         self.problems: dict[str, str] = {}
         for name, source in methods.items():
             self._add_method(name, source)
@@ -214,16 +214,20 @@ class Benchmark:
 
     def plan(self, keys: Iterable[TrialKey], jobs: int, backend: str) -> Iterator[str]:
         """Plans the cases of trials in workers; yields the name of each, and settles which are refused."""
-        wanted = list(dict.fromkeys((Variant(*key[2:5]), key.object) for key in keys))
-        if not wanted:
+        cases: dict[tuple, TrialKey] = {}
+        for key in keys:
+            cases.setdefault((key[2:5], key.object), key)
+        scenarios = {plan_key(each): each for each in map(self.scenario, cases.values())}
+        if not scenarios:
             return
-        arguments = ((dump_scenario(self.scenarios[variant]), case) for variant, case in wanted)
-        planned = call_in_workers(plan, arguments, min(jobs, len(wanted)), backend, ordered=True)
-        for (variant, case), goals in zip(wanted, planned, strict=True):
+        arguments = ((text,) for text in scenarios)
+        planned = call_in_workers(plan, arguments, min(jobs, len(scenarios)), backend, ordered=True)
+        for scenario, goals in zip(scenarios.values(), planned, strict=True):
+            case = find_task(scenario.task).case_of(scenario)
             if isinstance(goals, str):
-                self.settings.refused[f"{variant.task} {case}"] = goals
+                self.settings.refused[f"{scenario.task} {case}"] = goals
             else:
-                self._plans[variant, case] = goals
+                self._builder.keep_plans(scenario, goals)
             yield case
         self._save()
 
@@ -231,19 +235,18 @@ class Benchmark:
         """Whether planning showed that the hand cannot do a trial's case."""
         return f"{key.task} {key.object}" in self.settings.refused
 
+    def scenario(self, key: TrialKey) -> Scenario:
+        """Returns the scenario of a trial, with its case, person, seed and latency."""
+        scenario = copy.deepcopy(self.scenarios[Variant(key.task, key.kind, key.condition)])
+        find_task(key.task).choose(scenario, key.object)
+        scenario.random_seed, scenario.person = key.seed, key.person
+        if self.settings.measure_latency:
+            scenario.retargeting.latency = self.settings.methods[key.method]["latency_s"]
+        return scenario
+
     def trial(self, key: TrialKey) -> Trial:
-        """Returns a planned trial, with the plan that the person selects after free play with the method."""
-        variant = Variant(key.task, key.kind, key.condition)
-        scenario = dc.replace(self.scenarios[variant], person=key.person)
-        retarget, latency = self._maps[key.method, key.training], self._latency(key.method)
-        scenario.retargeting = dc.replace(scenario.retargeting, latency=latency)
-        person = persons_hand(scenario, self._operator)
-        played = key.method, key.training, variant, key.person
-        if played not in self._played:
-            self._played[played] = practise(scenario, retarget, self.hand, person)
-        retarget, seen = self._played[played]
-        goal, attainable = keep_reached(self._plans[variant, key.object], seen)
-        return Trial(key, dump_scenario(scenario), retarget, latency, (person, goal), attainable)
+        """Returns a planned trial."""
+        return self._builder.trial(self.scenario(key), self._maps[key.method, key.training])
 
     def run(self, log: TrialLog, keys: Sequence[TrialKey], jobs: int, backend: str) -> Iterator[Row]:
         """Simulates planned trials in workers; logs and yields each row as its trial ends."""
@@ -254,28 +257,10 @@ class Benchmark:
         usable = [key for key in keys if key.method not in self.problems]
         if not usable:
             return
-        trials = ((self.trial(key),) for key in usable)
+        trials = ((key, self.trial(key)) for key in usable)
         for row in call_in_workers(simulate, trials, min(jobs, len(usable)), backend):
             log.append(row)
             yield row
-
-    def repeat(self, key: TrialKey) -> tuple[Row, Path]:
-        """Simulates a finished trial again; returns its row and the file of its Rerun recording.
-
-        Raises:
-            UnknownNameError: there is no such trial in the log.
-        """
-        rows = {key_of(row): row for row in read_rows(self.folder / TRIALS)}
-        if key not in rows:
-            raise UnknownNameError("finished trial", str(key), map(str, rows))
-        list(self.plan([key], 1, "loky"))
-        path = self.folder / "rrd" / f"{key.file_stem}.rrd"
-        path.parent.mkdir(exist_ok=True)
-        row = simulate(self.trial(key), path)
-        differences = [name for name in row if name != "wall_time" and row[name] != rows[key].get(name)]
-        if differences:
-            warn(f"the repeated trial differs from {self.folder / TRIALS} in {', '.join(differences)}")
-        return row, path
 
     def _read(self, path: str | None) -> Recording:
         return training_recording(path, self.settings.side, self.settings.seed)
@@ -318,11 +303,8 @@ class Benchmark:
                 self.problems[name] = f"MethodError: {error}"
                 warn(f"{error}; its trials are recorded as errors")
                 return
-        if entry["latency_s"] is None and not self.settings.zero_latency:
+        if entry["latency_s"] is None and self.settings.measure_latency:
             entry["latency_s"] = measure_latency(retarget, self.recording)
-
-    def _latency(self, name: str) -> float:
-        return 0.0 if self.settings.zero_latency else self.settings.methods[name]["latency_s"]
 
     def _provenance(self) -> dict[str, Any]:
         return {

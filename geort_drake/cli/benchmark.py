@@ -22,7 +22,6 @@ from geort_drake.cli.base import (
     methods_for,
     options,
     require_output_folder,
-    view,
     write_json,
 )
 from geort_drake.errors import UnknownNameError, UsageError
@@ -71,8 +70,8 @@ class Benchmark(Command, ScenarioOptions):
     """number of parallel trials (default: the number of processors)"""
     backend: Literal["loky", "ray"] = "loky"
     """run on this machine (loky) or on a Ray cluster"""
-    zero_latency: bool = False
-    """do not simulate the methods' latencies"""
+    measure_latency: bool = False
+    """simulate every method with the latency that is measured on this machine, instead of the scenario's"""
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of the person's hand (default: synthetic play)"""
     operator: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -83,9 +82,6 @@ class Benchmark(Command, ScenarioOptions):
     """side of the recorded hand (default: the robot hand's)"""
     seed: Seed = 0
     """seed of training and synthetic play"""
-    rrd: Annotated[tuple[str, ...], arg(metavar="METHOD OBJECT SEED")] = ()
-    """repeat a finished trial of --output and write its Rerun recording; --tasks, --kinds, --persons and
-    --vary select one of several"""
     submit: Annotated[str | None, arg(metavar="METHOD")] = None
     """add a method to the benchmark in --output, with its people, objects, seeds and settings"""
     report: bool = False
@@ -96,8 +92,6 @@ class Benchmark(Command, ScenarioOptions):
 
     def run(self) -> int:
         require_output_folder(self.output, "trials.jsonl")
-        if self.rrd:
-            return self._repeat()
         if self.submit:
             for name in ("methods", "objects", "trials", "persons", "quick", "recording", "operator", "vary"):
                 if getattr(self, name):
@@ -152,7 +146,7 @@ class Benchmark(Command, ScenarioOptions):
             operator=operator,
             side=self.side or load_hand(first.hand).side,
             seed=self.seed,
-            zero_latency=self.zero_latency,
+            measure_latency=self.measure_latency,
             persons=list(self.persons) or [first.person],
             objects=objects,
             trials=self._count,
@@ -249,36 +243,6 @@ class Benchmark(Command, ScenarioOptions):
         write_json(self.json, written.to_json())
         finish({"Report": self.output / REPORT})
         return 1 if written.errors else 0
-
-    def _repeat(self) -> int:
-        """Simulates a finished trial again and records it."""
-        from geort_drake.benchmark.log import TRIALS, key_of, read_rows
-        from geort_drake.console import progress_bar, say
-
-        if len(self.rrd) != 3 or not self.rrd[2].isdecimal():
-            raise UsageError(f"--rrd: give METHOD OBJECT SEED, not {' '.join(self.rrd)}")
-        method, case, seed = self.rrd[0], self.rrd[1], int(self.rrd[2])
-        keys = [key_of(row) for row in read_rows(self.output / TRIALS)]
-        wanted = {"tasks": "task", "kinds": "kind", "persons": "person", "vary": "condition"}
-        matches = [
-            key
-            for key in keys
-            if (key.method, key.object, key.seed) == (method, case, seed)
-            and all(getattr(key, field) in (getattr(self, name) or [getattr(key, field)])
-                    for name, field in wanted.items())
-        ]  # fmt: skip
-        if len(matches) != 1:
-            listed = matches or [key for key in keys if key.object == case] or keys
-            what = "trial; several have this method, object and seed" if matches else "finished trial"
-            raise UnknownNameError(what, " ".join(self.rrd), map(str, listed))
-        benchmark, _ = stored_benchmark(self.output, [method])
-        with progress_bar() as display, display.spinner("simulating"):
-            row, path = benchmark.repeat(matches[0])
-        if "error" in row:
-            say(row["traceback"])
-            return 1
-        finish({"Outcome": row["outcome"]}, view(path))
-        return 0
 
 
 def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[TrialBenchmark, list[str]]":

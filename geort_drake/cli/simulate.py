@@ -31,10 +31,10 @@ from geort_drake.resources import object_names
 from geort_drake.simulation.tasks import task_names
 
 if TYPE_CHECKING:
-    from geort_drake import Hand, Recording
-    from geort_drake.simulation.person.goal import Goal
+    from geort_drake import Recording
     from geort_drake.simulation.scenario import Scenario
     from geort_drake.simulation.task import TrialResult
+    from geort_drake.simulation.trial import Trial, TrialBuilder
 
 # Grasped if neither --objects nor the scenario names an object.
 DEFAULT_OBJECTS = ("cylinder", "sphere", "cube")
@@ -88,6 +88,7 @@ class Grasp(Command, ScenarioOptions):
         from geort_drake.export.episode import RESULTS
         from geort_drake.methods import default_method, names_of, resolve
         from geort_drake.retargeting.train import training_recording
+        from geort_drake.simulation.trial import Trial, TrialBuilder
 
         # Checks the whole request before anything is computed or written.
         require_output_folder(self.output, RESULTS)
@@ -99,7 +100,9 @@ class Grasp(Command, ScenarioOptions):
         recording = training_recording(self.recording, self.side or hand.description.side, self.seed)
 
         # Plans before training, because planning shows whether the robot can grasp the objects at all.
-        plans = {} if replay else _plans(scenarios, hand)
+        builder = TrialBuilder(hand, recording)
+        if replay is None:
+            scenarios = _feasible(builder, scenarios)
         retarget, path = resolve(method, hand, recording, self.seed, self.device)
         motion = str(self.recording or f"synthetic play, seed {self.seed}")
         say(f"Human motion: {motion}")
@@ -116,26 +119,20 @@ class Grasp(Command, ScenarioOptions):
             "retargeter": str(path or method),
             "session": session,
         }
-        if replay:
-            humans: list[Any] = [replay] * len(scenarios)
-        else:
-            scenarios = [scenario for scenario in scenarios if scenario.object.name in plans]
-            retarget, humans = _people(base, scenarios, plans, retarget, hand, recording)
-        results = self._simulate(scenarios, humans, retarget, properties, report)
+        trials = [
+            Trial(scenario, retarget, replay) if replay else builder.trial(scenario, retarget)
+            for scenario in scenarios
+        ]
+        results = self._simulate(trials, properties, report)
         self._print_results(results)
         write_json(self.json, report)
         finish({"Results": self.output / RESULTS}, view(self.output, "/*.rrd") if self.rerun else None)
         return 0
 
     def _simulate(
-        self,
-        scenarios: "Sequence[Scenario]",
-        humans: Sequence[Any],
-        retarget: Any,
-        properties: dict[str, str],
-        report: dict[str, Any],
+        self, trials: "Sequence[Trial]", properties: dict[str, str], report: dict[str, Any]
     ) -> "list[TrialResult]":
-        """Simulates the trials, one scenario and human each, and writes their files and the `report`."""
+        """Simulates the trials, and writes their files and the `report`."""
         from geort_drake import run_trial
         from geort_drake.console import progress_bar
         from geort_drake.export.episode import RESULTS
@@ -145,17 +142,18 @@ class Grasp(Command, ScenarioOptions):
         results: list[TrialResult] = []
         with locked(self.output), progress_bar() as display:
             update = display.counter("grasping")
-            for done, (scenario, human) in enumerate(zip(scenarios, humans, strict=True)):
+            for done, trial in enumerate(trials):
+                scenario = trial.scenario
                 stem = f"{find_task(scenario.task).case_of(scenario)}-{scenario.random_seed}"
 
                 def show(t: float, done: int = done, stem: str = stem) -> None:
-                    update(done, len(scenarios), f"{stem}: {t:.1f} s simulated")
+                    update(done, len(trials), f"{stem}: {t:.1f} s simulated")
 
                 # The recording of an interrupted trial stays here, so that it never replaces a complete one.
                 recorded = self.output / "interrupted" / f"{stem}.rrd"
                 recorded.unlink(missing_ok=True)
                 path = recorded if self.rerun else None
-                result, glove = run_trial(scenario, retarget, human, path, properties, show)
+                result, glove = run_trial(scenario, trial.retarget, trial.human, path, properties, show)
                 if not results:
                     _replace_run(self.output, scenario)
                 _keep_recording(recorded, self.output)
@@ -168,7 +166,7 @@ class Grasp(Command, ScenarioOptions):
                     "trials": [result.to_json() for result in results],
                 }
                 write_json(self.output / RESULTS, report)
-            update(len(scenarios), len(scenarios))
+            update(len(trials), len(trials))
         return results
 
     def _print_results(self, results: "Sequence[TrialResult]") -> None:
@@ -292,45 +290,27 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
     return command("explore", methods=retargeter, **named)
 
 
-def _plans(scenarios: "Sequence[Scenario]", hand: "Hand") -> "dict[str, list[Goal]]":
-    """Returns the goals for each object; leaves out, with a warning, objects that the hand cannot grasp.
+def _feasible(builder: "TrialBuilder", scenarios: "Sequence[Scenario]") -> "list[Scenario]":
+    """Returns the scenarios for which there are plans; leaves out, with a warning, those of other objects.
 
     Raises:
         ScenarioError: the hand can grasp none of the objects.
     """
     from geort_drake.console import track, warn
-    from geort_drake.simulation.tasks import find_task
 
     first = {scenario.object.name: scenario for scenario in reversed(scenarios)}
     names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
-    plans, refused = {}, []
+    refused = {}
     for name in track("planning", names, len(names)):
         try:
-            plans[name] = find_task(first[name].task).plans(first[name], hand.description)
+            builder.plans(first[name])
         except ScenarioError as error:
-            refused.append(error)
-    if not plans:
-        raise refused[0]
-    for reason in refused:
+            refused[name] = error
+    if len(refused) == len(names):
+        raise refused[names[0]]
+    for reason in refused.values():
         warn(f"left out: {reason}")
-    return plans
-
-
-def _people(
-    base: "Scenario",
-    scenarios: "Sequence[Scenario]",
-    plans: "dict[str, list[Goal]]",
-    retarget: Any,
-    hand: "Hand",
-    recording: "Recording",
-) -> tuple[Any, list[Any]]:
-    """Returns the map after free play, and for each scenario the person's hand and the selected goal."""
-    from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
-
-    person = persons_hand(scenarios[0], recording)
-    retarget, seen = practise(base, retarget, hand, person)
-    goals = {name: keep_reached(plan, seen)[0] for name, plan in plans.items()}
-    return retarget, [(person, goals[scenario.object.name]) for scenario in scenarios]
+    return [scenario for scenario in scenarios if scenario.object.name not in refused]
 
 
 def _origin(method: str, retarget: Any, path: Path | None) -> str:

@@ -1,6 +1,7 @@
-"""The simulated person's hand, and their free play: they see where fingertips go and select a plan."""
+"""Free play of the simulated person: they see where fingertips go, and select a plan."""
 
 import dataclasses as dc
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,27 +10,20 @@ import numpy as np
 
 from geort_drake.hands.hand import Hand
 from geort_drake.people.keypoints import FINGER_NAMES
-from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.play import synthesize_play
-from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.base import forget
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.person.goal import Goal, Intended
 from geort_drake.simulation.person.perception import FreePlay
-from geort_drake.simulation.scenario import Scenario
 
 DURATION, RATE = 30.0, 30.0  # s, frames per second
 
 
-def persons_hand(scenario: Scenario, recording: Recording) -> HumanHand:
-    """Returns the hand of the scenario's `person`: 0 is fitted to the recording, others are sampled."""
-    return sample_person(0, scenario.person).hand if scenario.person else HumanHand.fit(recording)
-
-
-def _frames(person: HumanHand) -> np.ndarray:
+@functools.lru_cache(maxsize=32)  # a solid hand takes seconds, for each function and method
+def _frames(person: HumanHand, duration: float) -> np.ndarray:
     """Returns keypoints (T, 21, 3) of free play, m in H."""
-    return synthesize_play(seed=0, duration_s=DURATION, rate_hz=RATE, hand=person).p_HK.astype(float)
+    return synthesize_play(seed=0, duration_s=duration, rate_hz=RATE, hand=person).p_HK.astype(float)
 
 
 def seen_fingertips(
@@ -42,7 +36,7 @@ def seen_fingertips(
         latency: latency of the method, s; if it exceeds the time between frames, the method gets fewer.
     """
     forget(retarget)
-    frames = _frames(person)
+    frames = _frames(person, DURATION)
     stride = max(1, math.ceil(latency * RATE))
     frames = frames[::stride]
     order = [list(retarget.joint_names).index(name) for name in hand.joint_names]  # type: ignore[attr-defined]
@@ -57,22 +51,13 @@ def seen_fingertips(
     return FreePlay(p_HF, p_BF, stride / RATE)
 
 
-def practise(scenario: Scenario, retarget: Any, hand: Hand, person: HumanHand) -> tuple[Any, FreePlay]:
-    """Returns the map of a trial, and what the person saw of it in free play before.
-
-    The map is fixed before the trial starts, unless the scenario says otherwise. The play has its latency.
-
-    Args:
-        retarget: a method, or a universal map, which adapts to the person.
-    """
-    adapted = after_play(retarget, person)
-    seen = seen_fingertips(adapted, hand, person, scenario.retargeting.latency)
-    return adapted if scenario.retargeting.adapts_before else retarget, seen
-
-
 def after_play(retarget: Any, person: HumanHand) -> Any:
     """Returns the map after free play: a universal map adapted to the person, any other as it is."""
-    return retarget.for_person(_frames(person)) if isinstance(retarget, UniversalRetargeter) else retarget
+    return (
+        retarget.for_person(_frames(person, DURATION))
+        if isinstance(retarget, UniversalRetargeter)
+        else retarget
+    )
 
 
 def keep_reached(plans: Sequence[Intended], play: FreePlay) -> tuple[Intended, bool]:

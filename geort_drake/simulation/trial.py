@@ -1,21 +1,26 @@
-"""Simulates one trial from start to outcome."""
+"""Builds trials, and simulates one from start to outcome."""
 
 import gc
 import os
 import time
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from geort_drake.files import atomic_path
+from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
 from geort_drake.simulation.judge import Outcome
-from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.person.goal import Goal
+from geort_drake.simulation.person.perception import FreePlay
+from geort_drake.simulation.scenario import Scenario, dump_scenario, parse_scenario
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks import find_task
 
@@ -23,6 +28,104 @@ if TYPE_CHECKING:
     from geort_drake.rerun import RerunRecorder
 
 _REPORT_PERIOD = 0.25  # simulated s
+# Fields of a scenario on which plans depend.
+_PLAN_FIELDS = (
+    "task",
+    "task_settings",
+    "plant_config",
+    "directives",
+    "hand",
+    "hand_parent",
+    "arm_posture",
+    "left_arm_posture",
+    "object",
+)
+
+
+class Trial(NamedTuple):
+    """What determines a trial: equal descriptions have equal results bit for bit, wherever they run.
+
+    Attributes:
+        scenario: what is simulated, with the method's latency and how its map begins in `retargeting`.
+        retarget: the method, or its map as the trial begins.
+        human: the simulated person's hand and goal, or a recording of glove and wrist to replay.
+        attainable: whether free play showed the person an attainable plan.
+    """
+
+    scenario: Scenario
+    retarget: Retarget
+    human: tuple[HumanHand, Goal] | Recording
+    attainable: bool = True
+
+    def __reduce__(self) -> tuple:
+        # Drake's configurations cannot be pickled.
+        return _trial_of, (dump_scenario(self.scenario), *self[1:])
+
+
+def _trial_of(scenario_text: str, *others: Any) -> Trial:
+    return Trial(parse_scenario(scenario_text), *others)
+
+
+class TrialBuilder:
+    """Builds the trials of one robot hand, and keeps plans, people and their free play for the next ones.
+
+    Args:
+        hand: model of the robot's hand.
+        recording: recording of the hand of person 0, see `Scenario.person`.
+    """
+
+    def __init__(self, hand: Hand, recording: Recording):
+        self._hand, self._recording = hand, recording
+        self._plans: dict[str, Sequence[Goal]] = {}
+        self._people: dict[int, HumanHand] = {}
+        # The maps by whose identity a practice is found are kept with it.
+        self._practice: dict[tuple, tuple[Retarget, Retarget, FreePlay]] = {}
+
+    def plans(self, scenario: Scenario) -> Sequence[Goal]:
+        """Returns the goals with which a person may do the scenario's task, best first.
+
+        Raises:
+            ScenarioError: the robot cannot do it.
+        """
+        key = plan_key(scenario)
+        if key not in self._plans:
+            self._plans[key] = find_task(scenario.task).plans(scenario, self._hand.description)
+        return self._plans[key]
+
+    def keep_plans(self, scenario: Scenario, goals: Sequence[Goal]) -> None:
+        """Adds plans that another process has made."""
+        self._plans[plan_key(scenario)] = goals
+
+    def person(self, number: int) -> HumanHand:
+        """Returns the hand of a person of the population by `Scenario.person`."""
+        if number not in self._people:
+            sampled = sample_person(0, number).hand if number else HumanHand.fit(self._recording)
+            self._people[number] = sampled
+        return self._people[number]
+
+    def trial(self, scenario: Scenario, retarget: Retarget) -> Trial:
+        """Returns the trial of a person who selects a plan by what they saw of a method in free play.
+
+        A universal map adapts to the person in free play. The trial begins with that fixed map, or with the
+        map before if the scenario says so.
+
+        Raises:
+            ScenarioError: the robot cannot do the task.
+        """
+        person, timing = self.person(scenario.person), scenario.retargeting
+        key = id(retarget), scenario.person, timing.latency
+        if key not in self._practice:
+            adapted = after_play(retarget, person)
+            seen = seen_fingertips(adapted, self._hand, person, timing.latency)
+            self._practice[key] = retarget, adapted, seen
+        _, adapted, seen = self._practice[key]
+        goal, attainable = keep_reached(self.plans(scenario), seen)
+        return Trial(scenario, adapted if timing.adapts_before else retarget, (person, goal), attainable)
+
+
+def plan_key(scenario: Scenario) -> str:
+    """Returns a text that two scenarios share if they have the same plans."""
+    return dump_scenario(Scenario(**{name: getattr(scenario, name) for name in _PLAN_FIELDS}))
 
 
 def run_trial(

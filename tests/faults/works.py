@@ -49,7 +49,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
 
     argv = [
         "--output", ".", "--methods", "hold", "--objects", "cylinder", "--jobs", str(jobs),
-        "--scenario-text", TOO_SHORT, "--trials", "1" if seed == 1 else "2", "--zero-latency",
+        "--scenario-text", TOO_SHORT, "--trials", "1" if seed == 1 else "2",
     ]  # fmt: skip
     with (
         mock.patch.object(run, "plan", lambda *_: [reach_goal()]),

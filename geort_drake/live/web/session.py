@@ -5,7 +5,7 @@ import dataclasses as dc
 import gc
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 from pydrake.systems.analysis import Simulator
@@ -23,9 +23,11 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
 from geort_drake.live.web.watched_trial import make_watched_trial
 from geort_drake.retargeting.base import Retarget
+from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.following import RobotModel, robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.trial import TrialBuilder
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove_recorder import GloveRecorder
 
@@ -75,7 +77,7 @@ class WebTeleoperation:
 
     def __post_init__(self) -> None:
         self._scenes = self._watched = 0
-        self._prepared: dict[str, Any] = {}  # of the trials that are watched
+        self._builder: TrialBuilder | None = None  # of the trials that are watched
 
     def run(
         self,
@@ -139,7 +141,7 @@ class WebTeleoperation:
         choice, about = self.control.choice, self.setup.about
         wanted = choice.hand or about.hand, choice.mount or about.mount
         if wanted != (about.hand, about.mount):
-            self.setup, self._prepared = self.choose(*wanted), {}
+            self.setup, self._builder = self.choose(*wanted), None
             self.server.introduce(self.setup.about)
         scenarios = self.setup.scenarios
         scenario = copy.deepcopy(scenarios.get(choice.task or "", next(iter(scenarios.values()))))
@@ -167,7 +169,10 @@ class WebTeleoperation:
         control, scenario, setup = self.control, self._scenario(), self.setup
         scenario.random_seed += self._watched
         self._watched += 1
-        trial = make_watched_trial(scenario, Hand(setup.description), setup.retarget, self._prepared)
+        if self._builder is None:
+            recording = training_recording(None, setup.description.side, 0)
+            self._builder = TrialBuilder(Hand(setup.description), recording)
+        trial = make_watched_trial(self._builder, scenario, setup.retarget)
         parts = trial.parts
         scene = Scene(parts.plant, parts.stage.scene.scene_graph.model_inspector(), setup.description)
         self._show(scene)

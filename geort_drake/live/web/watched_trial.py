@@ -5,15 +5,12 @@ from typing import Any
 
 from pydrake.systems.framework import Context
 
-from geort_drake.hands.hand import Hand
 from geort_drake.live.teleoperation import phase_of
 from geort_drake.retargeting.base import Retarget, forget
-from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.free_play import keep_reached, persons_hand, practise
 from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.trial import TrialBuilder
 
 
 @dc.dataclass(frozen=True)
@@ -55,31 +52,19 @@ class WatchedTrial:
         return {"count": 0, "median": None, "p99": None}
 
 
-def make_watched_trial(
-    scenario: Scenario, hand: Hand, retarget: Retarget, prepared: dict[str, Any]
-) -> WatchedTrial:
+def make_watched_trial(builder: TrialBuilder, scenario: Scenario, retarget: Retarget) -> WatchedTrial:
     """Builds the trial that `geort-drake grasp` would simulate for this scenario and map.
 
-    Planning and the person's practice take half a minute the first time.
+    Planning and the person's free play take half a minute the first time.
 
     Args:
+        builder: builder of trials with the robot's hand.
         scenario: with its object and seed.
-        hand: the robot's hand.
         retarget: a method or map.
-        prepared: plans, hand and practice of earlier trials with this hand and map; gets those of this one.
 
     Raises:
         ScenarioError: the hand cannot do the task.
     """
-    task = find_task(scenario.task)
-    if (name := f"{task.name} {task.case_of(scenario)}") not in prepared:
-        prepared[name] = task.plans(scenario, hand.description)
-    if "person" not in prepared:
-        recording = training_recording(None, hand.description.side, 0)
-        prepared["person"] = person = persons_hand(scenario, recording)
-        prepared["practice"] = practise(scenario, retarget, hand, person)
-    plans, (adapted, seen) = prepared[name], prepared["practice"]
-    forget(adapted)
-    goal, _ = keep_reached(plans, seen)
-    parts = make_trial_diagram(scenario, adapted, (prepared["person"], goal))
-    return WatchedTrial(parts, scenario.timeout)
+    trial = builder.trial(scenario, retarget)
+    forget(trial.retarget)
+    return WatchedTrial(make_trial_diagram(trial.scenario, trial.retarget, trial.human), scenario.timeout)
