@@ -3,16 +3,19 @@
 from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.simulation.person.goal import Plan
+from geort_drake.simulation.plan.inverse_kinematics import (
+    keep_from_limits,
+    position_index,
+    solve,
+    tip_program,
+)
 
-_TOLERANCE = 0.001  # m, largest position error of a fingertip
-_LIMIT_MARGIN = 0.1  # fraction of its range that a joint keeps from either limit
-_COMFORT = 1e-3  # m per range; weight of a joint's distance from the middle of its range
+_TOLERANCE = 5e-4  # m, largest error of a fingertip along each axis
 
 
 class FingerPlanner:
@@ -43,6 +46,8 @@ class FingerPlanner:
         self.side = -1.0 if description.side == "left" else 1.0
         joints = [name for index in self.fingers for name in description.fingers[index].joints]
         self._columns = np.array([self.hand.joint_names.index(name) for name in joints])
+        plant, model = self.hand.plant, self.hand.instance
+        self._order = np.array([position_index(plant, name, model) for name in self.hand.joint_names])
         self._context = self.hand.contact_context()
 
     def best_first(self, plans: Sequence[Plan], aim: str) -> list[Plan]:
@@ -53,11 +58,8 @@ class FingerPlanner:
 
     def discomfort(self, q: np.ndarray) -> float:
         """Mean square distance of the fingers' joints from the middle of their ranges, in ranges."""
-        return float(np.mean(self._from_middle(q) ** 2))
-
-    def _from_middle(self, q: np.ndarray) -> np.ndarray:
         lower, upper = self.hand.lower[self._columns], self.hand.upper[self._columns]
-        return (q[self._columns] - 0.5 * (lower + upper)) / (upper - lower)
+        return float(np.mean(((q[self._columns] - 0.5 * (lower + upper)) / (upper - lower)) ** 2))
 
     def all_tips(self, p_BF: np.ndarray) -> np.ndarray:
         """Returns fingertip points (F, 3), m: p_BF (K, 3) for the K fingers, NaN for the others."""
@@ -93,31 +95,27 @@ class FingerPlanner:
 
         Only the tips may touch each other, and the joints keep a margin to their limits.
         """
-        hand, columns = self.hand, self._columns
-        margin = _LIMIT_MARGIN * (hand.upper - hand.lower)
-        bounds = (hand.lower + margin)[columns], (hand.upper - margin)[columns]
-
-        def posture(x: np.ndarray) -> np.ndarray:
-            q = np.tile(hand.default_position, (*x.shape[:-1], 1))
-            q[..., columns] = x
-            return q
-
-        def residuals(x: np.ndarray) -> np.ndarray:
-            error = hand.fingertips(posture(x))[self.fingers] - p_BF
-            return np.concatenate([error.ravel(), _COMFORT * self._from_middle(posture(x))])
-
-        def jacobian(x: np.ndarray) -> np.ndarray:
-            step = 1e-6
-            p = hand.fingertips(posture(x + step * np.vstack([np.zeros_like(x), np.eye(len(x))])))
-            p = p[:, self.fingers].reshape(len(x) + 1, -1)
-            ranges = (hand.upper - hand.lower)[columns]
-            return np.vstack([(p[1:] - p[0]).T / step, np.diag(_COMFORT / ranges)])
-
-        start = np.clip(guess[columns], *bounds)
-        found = least_squares(residuals, start, jacobian, bounds, max_nfev=60)
-        q = posture(found.x)
-        tip_error = np.linalg.norm(found.fun[: p_BF.size].reshape(-1, 3), axis=1).max()
-        if tip_error > _TOLERANCE or hand.collides_beyond_tips(q):
+        hand, plant = self.hand, self.hand.plant
+        context = plant.GetMyMutableContextFromRoot(self._context)
+        fingers = [hand.description.fingers[index] for index in self.fingers]
+        places = {
+            finger.name: (p - _TOLERANCE, p + _TOLERANCE) for finger, p in zip(fingers, p_BF, strict=True)
+        }
+        base = plant.GetFrameByName(hand.description.base_frame, hand.instance)
+        low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        low[self._order], high[self._order] = hand.lower, hand.upper
+        weight, moved = np.zeros(len(low)), self._order[self._columns]
+        weight[moved] = (high - low)[moved] ** -2
+        ik = tip_program(
+            plant, context, hand.description, hand.instance, base, places, weight, 0.5 * (low + high)
+        )
+        keep_from_limits(ik, moved, low, high)
+        idle = np.delete(self._order, self._columns)
+        rest = np.delete(hand.default_position, self._columns)
+        ik.get_mutable_prog().AddBoundingBoxConstraint(rest, rest, ik.q()[idle])
+        hand.query(np.clip(guess, hand.lower, hand.upper), self._context)
+        solution = solve(ik, plant.GetPositions(context))
+        if solution is None or hand.collides_beyond_tips(q := solution[1][self._order]):
             return None
         return q
 

@@ -6,7 +6,6 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import RigidBody, UniformGravityFieldElement
-from pydrake.solvers import SnoptSolver, SolverOptions
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.description import FingerDescription, HandDescription
@@ -14,6 +13,12 @@ from geort_drake.hands.importers.fingers import parts_of
 from geort_drake.hands.links import palm_links, tip_geometries
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.plan.contacts import Contact
+from geort_drake.simulation.plan.inverse_kinematics import (
+    keep_from_limits,
+    position_index,
+    solve,
+    tip_program,
+)
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
 
@@ -31,8 +36,6 @@ _PALM_GAP = (0.002, 0.006)
 _PALM_Y = (-0.015, 0.015)
 _PALM_Z = (-0.06, 0.0)
 _PALM_TILT = 0.25
-# Fraction of its range that a grasping joint keeps from either limit, to be able to squeeze.
-_LIMIT_MARGIN = 0.1
 # Weights in the discomfort of a posture: for the arm's joints, and for joints of idle fingers. Joints of
 # grasping fingers have weight 1.
 _ARM_WEIGHT = 0.5
@@ -98,17 +101,9 @@ class GraspKinematics:
             self._constrain_palm(ik, palm)
         if collisions:
             ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
-        for finger in self._grasping:
-            for name in finger.joints:
-                index = self._position_index(name)
-                margin = _LIMIT_MARGIN * (high[index] - low[index])
-                ik.get_mutable_prog().AddBoundingBoxConstraint(
-                    low[index] + margin, high[index] - margin, ik.q()[index]
-                )
-        result = SnoptSolver().Solve(ik.prog(), np.clip(guess, low, high), _options())
-        if not result.is_success():
-            return None
-        return result.get_optimal_cost(), result.GetSolution(ik.q())
+        joints = [name for finger in self._grasping for name in finger.joints]
+        keep_from_limits(ik, map(self._position_index, joints), low, high)
+        return solve(ik, np.clip(guess, low, high))
 
     def open(self, contacts: list[Contact], opening: float, q_touch: np.ndarray) -> np.ndarray | None:
         """Returns positions with tips `opening` (m) off the contacts and the arm as in q_touch, or None."""
@@ -116,8 +111,8 @@ class GraspKinematics:
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
         arm = self._arm_positions()
         ik.get_mutable_prog().AddBoundingBoxConstraint(q_touch[arm], q_touch[arm], ik.q()[arm])
-        result = SnoptSolver().Solve(ik.prog(), q_touch, _options())
-        return result.GetSolution(ik.q()) if result.is_success() else None
+        solution = solve(ik, q_touch)
+        return None if solution is None else solution[1]
 
     def open_wide(self, q_touch: np.ndarray) -> np.ndarray | None:
         """Returns positions with the hand at its default, the arm as in q_touch; None in collision."""
@@ -177,32 +172,27 @@ class GraspKinematics:
 
     def _program(self, contacts: list[Contact], opening: float, tolerance: float) -> InverseKinematics:
         """Returns a program with fingertips `opening` (m) off their contacts and discomfort as cost."""
-        plant = self._plant
-        ik = InverseKinematics(plant, self._plant_context)
         by_finger = {contact.part: contact for contact in contacts}
+        places = {}
         for finger in self._grasping:
             contact = by_finger[finger.name]
             p_OF = contact.p_OC - contact.n_O * (finger.tip_radius + opening)
-            ik.AddPositionConstraint(
-                self._tip_body(finger).body_frame(),
-                np.asarray(finger.tip_point, float),
-                self._object.body_frame(),
-                # No tolerance downwards, where the support is.
-                p_OF - np.array([tolerance, tolerance, 0.0]),
-                p_OF + tolerance,
-            )
+            # No tolerance downwards, where the support is.
+            places[finger.name] = p_OF - np.array([tolerance, tolerance, 0.0]), p_OF + tolerance
         weight = np.full(len(self.q_default), _ARM_WEIGHT)
         for finger in self._description.fingers:
             for name in finger.joints:
                 weight[self._position_index(name)] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
-        for c in self._description.followers:
-            index = self._position_index(c.joint)
-            weight[index] = 0.0  # it follows its leader, which has a weight
-            difference = ik.q()[index] - c.ratio * ik.q()[self._position_index(c.follows)]
-            ik.get_mutable_prog().AddLinearEqualityConstraint(difference == c.offset)
-        # A grasping joint is most comfortable in the middle of its range.
-        ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), self.q_middle, ik.q())
-        return ik
+        return tip_program(
+            self._plant,
+            self._plant_context,
+            self._description,
+            self._hand,
+            self._object.body_frame(),
+            places,
+            weight,
+            self.q_middle,  # where a grasping joint is most comfortable
+        )
 
     def _centred_positions(self) -> np.ndarray:
         """Returns the default positions with grasping joints in the middle of their ranges."""
@@ -284,15 +274,7 @@ class GraspKinematics:
                 filters.Apply(CollisionFilterDeclaration().ExcludeBetween(a, b))
 
     def _position_index(self, joint: str) -> int:
-        return self._plant.GetJointByName(joint, self._hand).position_start()
+        return position_index(self._plant, joint, self._hand)
 
     def _tip_body(self, finger: FingerDescription) -> RigidBody:
         return self._plant.GetBodyByName(finger.tip_link, self._hand)
-
-
-def _options() -> SolverOptions:
-    # A solution takes about 30 iterations; a guess that needs many more rarely leads to one.
-    options = SolverOptions()
-    options.SetOption(SnoptSolver.id(), "Major iterations limit", 60)
-    options.SetOption(SnoptSolver.id(), "Iterations limit", 1000)
-    return options
