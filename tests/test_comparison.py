@@ -11,7 +11,7 @@ from light_training import train_lightly
 from geort_drake import synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import TrainingError
-from geort_drake.metrics import compare
+from geort_drake.metrics import evaluation
 from geort_drake.metrics.compare import GUARD_S, Comparison, better, held_out, summary, worst
 from geort_drake.retargeting.online import AnyTeleop
 
@@ -200,8 +200,8 @@ def test_an_online_method_gets_recorded_frames_in_order_from_rest(halves, quick,
         outputs.append((arguments[2], result[1]))
         return result
 
-    original = compare.evaluate_frames
-    monkeypatch.setattr(compare, "evaluate_frames", evaluate_frames)
+    original = evaluation.evaluate_frames
+    monkeypatch.setattr(evaluation, "evaluate_frames", evaluate_frames)
     rows = halves.run("anyteleop")
     assert min(row["value"] for row in rows if row["metric"] == "motion_preservation") > 0.5
     hand = halves.hand

@@ -13,12 +13,11 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake import Hand, load_hand, load_scenario
 from geort_drake.errors import HandError
-from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.assembly import HandInPlant, add_hand_model
 from geort_drake.hands.collision import collision_shapes
 from geort_drake.hands.description import CouplingDescription, HandDescription, write_description
 from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
-from geort_drake.hands.links import finger_links, palm_links
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.simulation.world import add_scene
@@ -250,10 +249,11 @@ def test_a_finger_has_all_links_that_its_motors_move(description):
     description.fingers[2].joints.remove("middle_j0")
     scene, *_ = _seen(description)
     plant, hand = scene.plant, scene.hand
-    names = [[body.name() for body in links] for links in finger_links(plant, description, hand)]
+    parts = HandInPlant(plant, description, hand)
+    names = [[body.name() for body in links] for links in parts.finger_links()]
     links = {"thumb": range(3), "index": range(4), "middle": range(1, 4)}
     assert names[:3] == [[f"{finger}_l{i}" for i in numbers] for finger, numbers in links.items()]
-    assert [body.name() for body in palm_links(plant, description, hand)] == ["palm", "middle_l0"]
+    assert [body.name() for body in parts.palm_links()] == ["palm", "middle_l0"]
     with pytest.raises(HandError, match="cannot be added to a plant that is finalized"):
         add_hand_model(plant, description)
 

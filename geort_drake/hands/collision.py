@@ -32,9 +32,9 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
+from geort_drake.hands.assembly import joint_paths
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.kinematics import CollisionShapes, lattice_directions
-from geort_drake.hands.links import joint_paths
 
 # Pairs whose distance depends on at most _GRID_JOINTS joints are checked at _GRID_SIZE angles of each.
 _GRID_JOINTS, _GRID_SIZE = 2, 13

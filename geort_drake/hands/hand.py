@@ -13,19 +13,13 @@ from pydrake.geometry import (
     QueryObject,
 )
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import Frame, RevoluteJoint
+from pydrake.multibody.tree import RevoluteJoint
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.errors import HandError, naming
-from geort_drake.hands.assembly import (
-    add_hand_model,
-    find_frame,
-    remove_visuals,
-    require_name,
-)
+from geort_drake.hands.assembly import HandInPlant, add_hand_model, remove_visuals
 from geort_drake.hands.description import HandDescription, JointCouplings, load_hand
 from geort_drake.hands.kinematics import HandKinematics
-from geort_drake.hands.links import PlantFingertips, finger_chain, position_limits, tip_geometries
 from geort_drake.hands.model_files import digest_of_contents, model_files
 from geort_drake.hands.model_search import find_model, has_published_model
 
@@ -70,29 +64,29 @@ class Hand:
             files = model_files(self.plant, self.scene_graph.model_inspector(), self.instance, path)
             model_sha256 = digest_of_contents(files)
         self.digest = _digest(description, model_sha256)
+        self._parts = parts = HandInPlant(self.plant, description, self.instance)
         with naming(self._what, HandError):
-            self._base = self._frame(description.base_frame, "base_frame")
-            self._mount = self._frame(description.mount.frame or description.base_frame, "mount.frame")
+            self._base = parts.frame(description.base_frame, "base_frame")
+            self._mount = parts.frame(description.mount.frame or description.base_frame, "mount.frame")
             self.plant.WeldFrames(self.plant.world_frame(), self._base)
             self.couplings = JointCouplings(description)
-            followers = [self._joint(name, "couplings") for name in self.couplings.names]
+            followers = [parts.joint(name, "couplings", RevoluteJoint) for name in self.couplings.names]
             joints = [
-                self._joint(name, f"fingers.{finger.name}.joints")
+                parts.joint(name, f"fingers.{finger.name}.joints", RevoluteJoint)
                 for finger in description.fingers
                 for name in finger.joints
             ]
             for joint in joints:
-                self._check_range(joint)
+                _check_range(joint)
             for finger in description.fingers:
-                self._frame(finger.tip_link, f"fingers.{finger.name}.tip_link")  # raises an error without one
-            self.lower, self.upper = position_limits(self.plant, description, self.instance)
+                parts.frame(finger.tip_link, f"fingers.{finger.name}.tip_link")  # raises an error without one
+            self.lower, self.upper = parts.position_limits()
         self.plant.Finalize()
         self.diagram = builder.Build()
 
         self._order = np.array([joint.position_start() for joint in (*joints, *followers)])
-        self._fingertips = PlantFingertips(self.plant, description, self.instance, self.joint_names)
-        inspector = self.scene_graph.model_inspector()
-        tips = tip_geometries(self.plant, inspector, self.instance, description.fingers)
+        self._fingertips = parts.forward_kinematics(self.joint_names)
+        tips = parts.tip_geometries(self.scene_graph.model_inspector())
         self._tip_geometries = set(tips)
         self._contact_context = self.diagram.CreateDefaultContext()
         # In this context, contacts between fingertips are filtered.
@@ -188,10 +182,7 @@ class Hand:
             HandError: the joints that a finger lists are not those between the hand base and its tip.
         """
         with naming(self._what, HandError):
-            fingers = tuple(
-                finger_chain(self.plant, self._base, finger, self.description)
-                for finger in self.description.fingers
-            )
+            fingers = tuple(self._parts.finger_chain(finger) for finger in self.description.fingers)
         return HandKinematics(
             fingers=fingers,
             joint_names=tuple(self.joint_names),
@@ -229,25 +220,17 @@ class Hand:
             hits[i] = self._query(row, root_context).HasCollisions()
         return hits if np.ndim(q) == 2 else hits[0]
 
-    def _frame(self, name: str, field: str) -> Frame:
-        return find_frame(self.plant, self.instance, name, field)
 
-    def _joint(self, name: str, field: str) -> RevoluteJoint:
-        joints = map(self.plant.get_joint, self.plant.GetJointIndices(self.instance))
-        choices = [joint.name() for joint in joints if isinstance(joint, RevoluteJoint)]
-        require_name(field, "revolute joint", name, choices)
-        return self.plant.GetJointByName(name, self.instance)
-
-    def _check_range(self, joint: RevoluteJoint) -> None:
-        low, high = joint.position_lower_limit(), joint.position_upper_limit()
-        if not np.isfinite([low, high]).all():
-            raise HandError(f"joint '{joint.name()}' needs position limits; given: [{low:g}, {high:g}]")
-        position = joint.get_default_angle()
-        if not low <= position <= high:
-            raise HandError(
-                f"default_positions.{joint.name()} must be within its limits "
-                f"[{low:g}, {high:g}] rad; given: {position:g}"
-            )
+def _check_range(joint: RevoluteJoint) -> None:
+    low, high = joint.position_lower_limit(), joint.position_upper_limit()
+    if not np.isfinite([low, high]).all():
+        raise HandError(f"joint '{joint.name()}' needs position limits; given: [{low:g}, {high:g}]")
+    position = joint.get_default_angle()
+    if not low <= position <= high:
+        raise HandError(
+            f"default_positions.{joint.name()} must be within its limits "
+            f"[{low:g}, {high:g}] rad; given: {position:g}"
+        )
 
 
 def _digest(description: HandDescription, model_sha256: str) -> str:

@@ -21,17 +21,9 @@ from geort_drake.errors import GeortError, MapError, RecordingError
 from geort_drake.files import finite_json
 from geort_drake.hands.hand import Hand
 from geort_drake.methods import PYTHON_SUFFIX, resolve
-from geort_drake.metrics.evaluation import (
-    MIN_FRAMES,
-    adapted,
-    complete_hands,
-    distal_phalanges,
-    evaluate_frames,
-    robot_space,
-)
+from geort_drake.metrics.evaluation import MIN_FRAMES, evaluate
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting import METHODS
-from geort_drake.retargeting.online import AnyTeleop
 from geort_drake.retargeting.store import load_retargeter
 from geort_drake.versions import versions
 
@@ -245,7 +237,6 @@ class Comparison:
     ):
         self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
         self.frame_limit = frame_limit
-        self._spaces: dict[int, list[np.ndarray]] = {}
 
     @property
     def cases_per_method(self) -> int:
@@ -281,34 +272,14 @@ class Comparison:
                     ]
         return rows
 
-    def space(self, seed: int) -> list[np.ndarray]:
-        """Returns the C-space of the hand, sampled with this seed; see `robot_space`."""
-        if seed not in self._spaces:
-            self._spaces[seed] = robot_space(self.hand, seed)
-        return self._spaces[seed]
-
     def _evaluate(self, name: str, protocol: Protocol, case: Case, seed: int) -> dict:
-        source, keypoints = case.scored_on, self.hand.description.human_keypoints
-        frames = source.fingertips(keypoints)[: self.frame_limit]
-        if len(frames) < MIN_FRAMES:
-            raise RecordingError(f"{case.part}: {len(frames)} valid frames, at least {MIN_FRAMES} are needed")
+        source = case.scored_on
+        if (count := min(int(source.valid.sum()), self.frame_limit or len(source))) < MIN_FRAMES:
+            raise RecordingError(f"{case.part}: {count} valid frames, at least {MIN_FRAMES} are needed")
         if name not in METHODS and Path(name).suffix != PYTHON_SUFFIX:
             _check_training(name, protocol, case)
-        retarget: Callable = adapted(resolve(name, self.hand, case.trained_on, seed)[0], source)
-        settled = None
-        if isinstance(retarget, AnyTeleop):
-            settled = retarget.settled_map(frames)
-            retarget.reset()
-        metrics, _ = evaluate_frames(
-            complete_hands(retarget, self.hand, source),
-            self.hand,
-            frames,
-            source.rate_hz,
-            seed,
-            self.space(seed) if protocol.with_coverage else None,
-            settled,
-            distal_phalanges(source, keypoints)[: self.frame_limit],
-        )
+        retarget, _ = resolve(name, self.hand, case.trained_on, seed)
+        metrics = evaluate(retarget, self.hand, source, seed, self.frame_limit, protocol.with_coverage)
         return finite_json(metrics)
 
 

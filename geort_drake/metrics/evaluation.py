@@ -3,6 +3,7 @@
 The robot's kinematics is exact. Left hands are mirrored, because human hands are always stored as right ones.
 """
 
+import functools
 import time
 from collections.abc import Callable, Sequence
 
@@ -31,6 +32,7 @@ from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.base import forget
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
+from geort_drake.retargeting.online import AnyTeleop
 from geort_drake.retargeting.universal import UniversalRetargeter
 
 ROBOT_SAMPLES = 200_000  # uniform joint angles, whose fingertips sample the C-space
@@ -42,25 +44,36 @@ SIZE_SAMPLES = 4000  # uniform joint angles, to which `size` compares
 ENGAGEMENTS = 20  # hands at which `engagement` is measured
 
 
-def robot_space(hand: Hand, seed: int = 0) -> list[np.ndarray]:
+@functools.lru_cache(maxsize=8)
+def robot_space(hand: Hand, seed: int = 0, samples: int = ROBOT_SAMPLES) -> list[np.ndarray]:
     """Samples the robot's C-space, the reach of its fingertips, which does not depend on the method.
 
     Returns:
         For each finger the centres (M, 3) in B, m, of the 3 mm voxels that its tip hits at uniform joint
         angles; mirrored for a left hand, as human hands are right.
     """
-    return robot_voxels(fingertips_of(hand)(hand.sample(ROBOT_SAMPLES, seed)))
+    return robot_voxels(fingertips_of(hand)(hand.sample(samples, seed)))
 
 
-def evaluate(retarget: Callable, hand: Hand, recording: Recording, seed: int = 0) -> dict:
+def evaluate(
+    retarget: Callable,
+    hand: Hand,
+    recording: Recording,
+    seed: int = 0,
+    frame_limit: int | None = None,
+    with_coverage: bool = True,
+) -> dict:
     """Computes all metrics of a retargeter on one recording, as a dictionary of JSON types.
 
     Args:
         retarget: maps (F, 3) and (N, F, 3) human fingertips in H, m, to joint angles (n,) and (N, n), rad, in
-            the order of `hand.joint_names`. A universal map adapts to the first second of the recording.
+            the order of `hand.joint_names`. A universal map adapts to the first second of the recording. Of
+            an online method, metrics of hands that were not recorded use `AnyTeleop.settled_map`.
         hand: model of the robot hand, with the retargeter's fingers.
         recording: recording of the person's hand.
         seed: seed of the anchors, directions and robot samples.
+        frame_limit: number of valid frames, from the first on, that are used; None for all.
+        with_coverage: whether the coverages are computed.
 
     Returns:
         Metric → figure, as the page on the comparison file defines them; None where nothing can be measured.
@@ -72,10 +85,16 @@ def evaluate(retarget: Callable, hand: Hand, recording: Recording, seed: int = 0
     """
     _require_same_hand(retarget, hand)
     keypoints = hand.description.human_keypoints
-    frames, distal = recording.fingertips(keypoints), distal_phalanges(recording, keypoints)
-    retarget = complete_hands(adapted(retarget, recording), hand, recording)
-    space = robot_space(hand, seed)
-    return evaluate_frames(retarget, hand, frames, recording.rate_hz, seed, space, distal=distal)[0]
+    frames = recording.fingertips(keypoints)[:frame_limit]
+    distal = distal_phalanges(recording, keypoints)[:frame_limit]
+    retarget = adapted(retarget, recording)
+    settled = None
+    if isinstance(retarget, AnyTeleop):
+        settled = retarget.settled_map(frames)
+        retarget.reset()
+    space = robot_space(hand, seed, ROBOT_SAMPLES) if with_coverage else None
+    complete = complete_hands(retarget, hand, recording)
+    return evaluate_frames(complete, hand, frames, recording.rate_hz, seed, space, settled, distal)[0]
 
 
 def adapted(retarget: Callable, recording: Recording) -> Callable:

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +13,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, Outpu
 
 from geort_drake import __version__
 from geort_drake.colours import finger_colors
+from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.links import PlantFingertips, finger_links
 from geort_drake.rerun import (
     CloseUpSpec,
     ContactSpec,
@@ -99,7 +99,8 @@ def add_grasp_recorder(
         "arm": wrist_to_arm.GetOutputPort("arm_desired_state"),
     }
     measured = {key: actuated_state(builder, plant, model) for key, model in models.items()}
-    fingertips = PlantFingertips(plant, description, hand, hand_joints)
+    parts = HandInPlant(plant, description, hand)
+    fingertips = parts.forward_kinematics(hand_joints)
     fingers, n = description.finger_names, len(hand_joints)
     colors = finger_colors(fingers)
 
@@ -123,7 +124,7 @@ def add_grasp_recorder(
     if is_operator:
         phases = source.phases  # type: ignore[attr-defined]
         specs["operator"] = StateSpec(source.GetOutputPort("phase"), phases)
-    links = dict(zip(fingers, finger_links(plant, description, hand), strict=True))
+    links = dict(zip(fingers, parts.finger_links(), strict=True))
     specs[HUMAN] = HandSpec(
         hand_source.GetOutputPort("keypoints"),
         hand_source.GetOutputPort("wrist_pose"),
@@ -251,7 +252,7 @@ def _close_ups(
     plant: MultibodyPlant,
     description: HandDescription,
     bodies: Sequence[RigidBody],
-    fingertips: PlantFingertips,
+    fingertips: Callable[[np.ndarray], np.ndarray],
 ) -> dict[str, CloseUpSpec]:
     """Returns close-ups of both hands from the index finger's side, with the held object in view."""
     hand = plant.GetModelInstanceByName(HAND)

@@ -19,9 +19,8 @@ from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError, naming
-from geort_drake.hands.assembly import add_hand_model, add_models
+from geort_drake.hands.assembly import HandInPlant, add_hand_model, add_models
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.links import position_limits, tip_geometries
 from geort_drake.resources import PACKAGE_NAME, resource_root
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario, object_file
@@ -228,7 +227,7 @@ def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDesc
     hand = add_hand_model(plant, description, HAND)
     _require_masses(plant, hand, description)
     with naming(f"hand '{description.name}'", HandError):
-        limits = position_limits(plant, description, hand)
+        limits = HandInPlant(plant, description, hand).position_limits()
     for name, lower, upper in zip(description.joint_names, *limits, strict=True):
         plant.GetJointByName(name, hand).set_position_limits([lower], [upper])
     mount = description.mount
@@ -272,7 +271,7 @@ def _soften_fingertips(
 ) -> None:
     """Makes fingertips compliant hydroelastic with modulus E (Pa), and the body rigid hydroelastic."""
     inspector, hand = scene_graph.model_inspector(), plant.GetModelInstanceByName(HAND)
-    tips = tip_geometries(plant, inspector, hand, description.fingers)
+    tips = HandInPlant(plant, description, hand).tip_geometries(inspector)
     for geometry in [*tips, *plant.GetCollisionGeometriesForBody(body)]:
         properties = inspector.GetProximityProperties(geometry)
         if geometry in tips:

@@ -10,8 +10,8 @@ from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import Context, InputPort, ValueProducer
 
+from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.links import finger_links, tip_geometries
 from geort_drake.systems.contacts import bodies_of_geometries, contact_geometries, contact_rows
 from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.python_system import PythonSystem, weak_callback
@@ -31,7 +31,7 @@ class SceneView(PythonSystem):
             the hand and the object, N.
         contact (F): the largest of these over the links of each finger, N.
         self_contact (1): 1 while two links of the hand touch each other, else 0. Contacts between fingertips
-            do not count (see `tip_geometries`). Neighbours along a finger and the description's
+            do not count (see `HandInPlant.tip_geometries`). Neighbours along a finger and the description's
             `ignored_collisions` are filtered out.
 
     Attributes:
@@ -67,12 +67,13 @@ class SceneView(PythonSystem):
         links = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
         self.links = [link.name() for link in links]
         self._number_of_link = {int(link.index()): number for number, link in enumerate(links)}
+        hand_parts = HandInPlant(plant, description, hand)
         self._finger_links = [
             [self._number_of_link[int(link.index())] for link in of_finger]
-            for of_finger in finger_links(plant, description, hand)
+            for of_finger in hand_parts.finger_links()
         ]
         self._body_of_geometry = bodies_of_geometries(plant, inspector)
-        self._tip_geometries = {*tip_geometries(plant, inspector, hand, description.fingers)}
+        self._tip_geometries = {*hand_parts.tip_geometries(inspector)}
         self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
         self._contacts = self.DeclareAbstractInputPort(
             "contact_results", AbstractValue.Make(ContactResults())

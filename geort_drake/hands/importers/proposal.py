@@ -9,6 +9,7 @@ from pydrake.geometry import Convex, Mesh, Role
 from pydrake.math import RollPitchYaw
 
 from geort_drake.errors import HandError, listed, naming
+from geort_drake.hands.assembly import HandInPlant, joint_paths
 from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
@@ -20,7 +21,6 @@ from geort_drake.hands.importers.arrangement import arrange
 from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
 from geort_drake.hands.importers.fingers import describe_finger, parts_of
 from geort_drake.hands.importers.structure import HandStructure, read_structure
-from geort_drake.hands.links import joint_paths, position_limits
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
 _BASE_NAME = "hand_base"
@@ -169,7 +169,7 @@ def _default_positions(structure: HandStructure, description: HandDescription) -
     """Returns positions a tenth of the range inside the limits, for joints whose default is outside, rad."""
     positions = {}
     with naming(f"model {structure.path}", HandError):
-        limits = position_limits(structure.plant, description, structure.hand)
+        limits = HandInPlant(structure.plant, description, structure.hand).position_limits()
     for name, low, high in zip(description.joint_names, *limits, strict=True):
         start = structure.plant.GetJointByName(name, structure.hand).get_default_angle()
         if not low <= start <= high:

@@ -16,9 +16,8 @@ from pydrake.multibody.tree import BodyIndex, Joint, ModelInstanceIndex, Revolut
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError, UnknownNameError, naming
-from geort_drake.hands.assembly import detach_from_world, parse_model
+from geort_drake.hands.assembly import detach_from_world, joint_paths, parse_model
 from geort_drake.hands.description import CouplingDescription, resolved_couplings
-from geort_drake.hands.links import joint_paths
 from geort_drake.hands.model_files import read_couplings
 
 MAX_FINGERS = 5

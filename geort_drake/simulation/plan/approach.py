@@ -8,9 +8,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.hands.assembly import add_hand_model
+from geort_drake.hands.assembly import HandInPlant, add_hand_model
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.links import palm_links
 from geort_drake.simulation.world import add_object
 from geort_drake.simulation.wrist_motion import WristMovement
 
@@ -62,7 +61,7 @@ class GraspApproach:
         shapes = self._plant.GetCollisionGeometriesForBody
         links = map(self._plant.get_body, self._plant.GetBodyIndices(hand))
         parts = [geometry for link in links for geometry in shapes(link)]
-        palm = palm_links(self._plant, description, hand)
+        palm = HandInPlant(self._plant, description, hand).palm_links()
         self._palm = {geometry for link in palm for geometry in shapes(link)}
         scene_graph.collision_filter_manager().Apply(
             CollisionFilterDeclaration().ExcludeWithin(GeometrySet(parts))

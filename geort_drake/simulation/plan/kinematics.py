@@ -8,9 +8,9 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import RigidBody, UniformGravityFieldElement
 from pydrake.systems.framework import DiagramBuilder
 
+from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.description import FingerDescription, HandDescription
 from geort_drake.hands.importers.fingers import parts_of
-from geort_drake.hands.links import palm_links, tip_geometries
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.plan.contacts import Contact
 from geort_drake.simulation.plan.inverse_kinematics import (
@@ -238,7 +238,7 @@ class GraspKinematics:
         """
         low, high = np.array(_PALM_Z) + self._knuckles[:, 2].mean()
         fronts = []
-        palm = palm_links(self._plant, self._description, self._hand)
+        palm = HandInPlant(self._plant, self._description, self._hand).palm_links()
         for *_, p_BP in parts_of(self._plant, scene_graph, palm, Role.kProximity, self._base):
             if p_BP[:, 2].min() < high and p_BP[:, 2].max() > low:
                 fronts.append(p_BP[:, 0].max())
@@ -246,7 +246,8 @@ class GraspKinematics:
 
     def _allow_tip_contacts(self, scene_graph: SceneGraph) -> None:
         """Filters collisions of grasping fingertips with each other, the object and its support."""
-        tips = tip_geometries(self._plant, scene_graph.model_inspector(), self._hand, self._grasping)
+        hand = HandInPlant(self._plant, self._description, self._hand)
+        tips = hand.tip_geometries(scene_graph.model_inspector(), self._grasping)
         # The object and its support are welded to the world.
         fixed = [
             geometry
