@@ -28,8 +28,8 @@ from geort_drake.processes import end_with, usable_cores
 # NATICK/TR-15/007), rounded.
 _LENGTH_M = ((0.193, 0.010), (0.180, 0.009))  # mean and deviation, as below
 _BREADTH = (0.447, 0.025)
-# Assumption: some are children from about eight years on, or have larger hands than soldiers.
-_UNUSUAL_SHARE, _UNUSUAL_LENGTH_M = 0.10, (0.14, 0.22)
+# Assumption: some are children from about six years on, or have larger hands than soldiers.
+_UNUSUAL_SHARE, _UNUSUAL_LENGTH_M = 0.15, (0.125, 0.22)
 # Relative deviations of a finger, each bone and the palm. Hand length explains half to nearly all of the
 # variance of bones; length and breadth explain 30 to 96 % of that of the knuckles' positions (Buchholz,
 # Armstrong & Goldstein 1992, Ergonomics 35:261).

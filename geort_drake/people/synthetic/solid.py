@@ -41,6 +41,7 @@ _FIT = 0.43  # largest ratio of a finger's radius to the distance of its knuckle
 _WEB = 0.5  # part of a finger's first bone that lies in the web
 
 _STEP_M = 4e-3  # points at which a path is checked are at most this far apart, less than a digit's thickness
+_AT_REST_M = 1e-3  # least progress of a step after which a pressing hand tries another one
 _AIM_M = 1.5e-3  # depth to which a posture that interpenetrates is corrected
 _DAMPING = (1e-3) ** 2  # corrections are damped where a radian moves less than 1 mm
 # Coefficient between skin and skin (assumption); it is 0.9 between finger pads and rubber, on average (Seo et
@@ -114,21 +115,25 @@ class SolidHand:
 
         Returns:
             The reached joint angles (20,), rad, and which digits touch another one, (5,) bool. If nothing is
-            in the way, the angles are `wanted` itself. Where digits meet on the way, the hand stops, and the
-            next call continues from there.
+            in the way, the angles are `wanted` itself. Where digits meet on the way, they slide on if
+            they move along each other by more than into each other, or else stop; the others go on.
         """
-        change = wanted - theta
-        steps = max(1, math.ceil((self._reach @ np.abs(change)).max() / _STEP_M))
-        path = theta + np.arange(steps)[:, None] / steps * change
-        if steps > 1:
+        steps_left = math.ceil((self._reach @ np.abs(wanted - theta)).max() / _STEP_M)
+        while True:
+            change = wanted - theta
+            steps = max(1, math.ceil((self._reach @ np.abs(change)).max() / _STEP_M))
+            path = theta + np.arange(steps + 1)[:, None] / steps * change
+            path[-1] = wanted
             blocked = self.depths(path[1:]).max(axis=1) > MAX_INTERPENETRATION
-            if blocked.any():
-                before = int(np.argmax(blocked))
-                return self._stop(path[before], path[before + 1], self._proximity(path[before + 1]))
-        proximity = self._proximity(wanted)
-        if proximity.depth.max() > MAX_INTERPENETRATION:
-            return self._stop(path[-1], wanted, proximity)
-        return wanted, proximity.touching()
+            if not blocked.any():
+                return path[-1], self._proximity(path[-1]).touching()
+            before = int(np.argmax(blocked))
+            proximity = self._proximity(path[before + 1])
+            start, (theta, touching) = theta, self._stop(path[before], path[before + 1], proximity)
+            steps_left -= before + 1
+            if steps_left <= 0 or (self._reach @ np.abs(theta - start)).max() < _AT_REST_M:
+                return theta, touching
+            wanted = np.where(np.repeat(self._pressed(theta, wanted), 4), theta, wanted)
 
     def separate(self, theta: np.ndarray) -> np.ndarray:
         """Returns the posture (20,), rad, near theta (20,) in which no digits interpenetrate.
@@ -159,11 +164,33 @@ class SolidHand:
             if proximity.depth.max() <= MAX_INTERPENETRATION:
                 return theta, proximity.touching()
             friction = None
-        # Where joint limits or several digits leave no way out, the hand stops on the way there.
-        path = theta + np.linspace(0.0, 1.0, 9)[:, None] * (free - theta)
-        depths = self.depths(path).max(axis=1)
-        nearest = int(np.argmax(depths <= max(MAX_INTERPENETRATION, depths[-1])))
-        return path[nearest], self._proximity(path[nearest]).touching()
+        # Where joint limits or several digits leave no common way out, one digit after another goes on as far
+        # as it can. Those that the thumb was wedged between can so leave it.
+        reached = free.copy()
+        most = max(MAX_INTERPENETRATION, self.depths(free).max())
+        for digit in range(5):
+            joints = slice(4 * digit, 4 * digit + 4)
+            path = np.tile(reached, (9, 1))
+            path[:, joints] += np.linspace(1.0, 0.0, 9)[:, None] * (theta - reached)[joints]
+            passable = self.depths(path[:-1]).max(axis=1) <= most
+            reached = path[int(np.argmax(np.append(passable, True)))]
+        return reached, self._proximity(reached).touching()
+
+    def _pressed(self, theta: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+        """Returns which digits (5,) touch another one, and would stick to it on their way to `wanted` (20,).
+
+        Skin sticks where the way, linearised, leads into the other digit by more than along it.
+        """
+        proximity = self._proximity(theta)
+        contacts, pressed = proximity.deepest(0.0), np.zeros(5, bool)
+        change = (wanted - theta).reshape(5, 4)[:, :3].ravel()
+        way = self._contact_jacobian(theta, proximity, contacts) @ change
+        normal = proximity.normals(contacts)
+        into = -np.sum(way * normal, axis=1)
+        along = np.linalg.norm(way + into[:, None] * normal, axis=1)
+        stuck = np.array(contacts, dtype=int)[_FRICTION * into > along]
+        pressed[_FIRST[stuck] // 3] = pressed[_SECOND[stuck] // 3] = True
+        return pressed
 
     def _corrected(
         self, theta: np.ndarray, proximity: "_Proximity", before: tuple[np.ndarray, np.ndarray] | None = None
@@ -172,16 +199,10 @@ class SolidHand:
 
         With the ends of the capsules `before` the motion, friction also holds skin on skin as it is pressed.
         """
-        excess = proximity.depth - _AIM_M
-        contacts = [  # the deepest of each pair of digits
-            start + int(np.argmax(excess[start:end]))
-            for start, end in pairwise(_PAIR_BOUNDS)
-            if excess[start:end].max() > 0
-        ]
-        apart = proximity.apart(contacts)
-        normal = apart / np.maximum(np.sqrt(np.sum(apart**2, axis=1, keepdims=True)), 1e-9)
+        contacts = proximity.deepest(_AIM_M)
+        apart, normal = proximity.apart(contacts), proximity.normals(contacts)
         J = self._contact_jacobian(theta, proximity, contacts)
-        push = excess[contacts]
+        push = proximity.depth[contacts] - _AIM_M
         if before is None:
             J, wanted = (normal[:, None] @ J)[:, 0], push
         else:
@@ -274,12 +295,22 @@ class _Proximity(NamedTuple):
         """Returns the deepest depth (..., 10), m, of each pair of digits."""
         return np.maximum.reduceat(self.depth, _PAIR_BOUNDS[:-1], axis=-1)
 
+    def deepest(self, depth: float) -> list[int]:
+        """Returns the deepest pair of capsules of all two digits that interpenetrate by more than `depth`."""
+        pairs = [start + int(np.argmax(self.depth[start:end])) for start, end in pairwise(_PAIR_BOUNDS)]
+        return [pair for pair in pairs if self.depth[pair] > depth]
+
     def apart(self, contacts: Sequence[int]) -> np.ndarray:
         """Returns vectors (n, 3), m, from the second to the first capsule's closest point, of some pairs."""
         first, second = _FIRST[contacts], _SECOND[contacts]
         p_first = self.start[first] + self.s[contacts, None] * (self.end[first] - self.start[first])
         p_second = self.start[second] + self.t[contacts, None] * (self.end[second] - self.start[second])
         return p_first - p_second
+
+    def normals(self, contacts: Sequence[int]) -> np.ndarray:
+        """Returns the directions (n, 3) of `apart`."""
+        apart = self.apart(contacts)
+        return apart / np.maximum(np.sqrt(np.sum(apart**2, axis=1, keepdims=True)), 1e-9)
 
     def touching(self) -> np.ndarray:
         """Returns which digits (5,) touch another one."""
