@@ -1,6 +1,7 @@
 """Parameters of the simulated person, with their sources."""
 
 import dataclasses as dc
+import math
 
 from geort_drake.settings import require_numbers
 
@@ -142,6 +143,11 @@ class OperatorConfig:
     # `place_overshoot`, m, below the seen place, to be set down. Both are about the error of vision [B02].
     place_tolerance: float = 0.003
     place_overshoot: float = 0.005
+
+    @property
+    def visual_error(self) -> float:
+        """Root mean square of the distance by which a point is seen displaced, m."""
+        return math.sqrt(2 * self.visual_noise**2 + self.visual_depth_noise**2)
 
     def validate(self) -> None:
         """Raises ValueError for a value out of range."""

@@ -201,6 +201,10 @@ class Moment:
         assert error is not None  # set at the start of every decision
         return float(np.nan_to_num(np.linalg.norm(error[self.goal.touches], axis=1)).max())
 
+    def tolerance(self, wanted: float) -> float:
+        """Returns a wanted tolerance, m, or the person's error of vision if it is larger: they know it."""
+        return max(wanted, self.config.visual_error)
+
     @property
     def fingers_at_limit(self) -> bool:
         """Whether the fingertips' error has not fallen for a while."""
@@ -216,9 +220,11 @@ class Moment:
 
     def is_at(self, X_WB: RigidTransform, tolerance: float) -> bool:
         """Whether the robot's hand is seen at a pose, within a distance, m."""
-        X = self.seen.X_BW @ X_WB
+        X, config = self.seen.X_BW @ X_WB, self.config
         near = np.linalg.norm(X.translation()) < tolerance
-        return bool(near and X.rotation().ToAngleAxis().angle() < self.config.turn_tolerance)
+        # Of the hand and of what it goes to, about three axes each.
+        turn_error = np.sqrt(6) * config.visual_turn_noise
+        return bool(near and X.rotation().ToAngleAxis().angle() < max(config.turn_tolerance, turn_error))
 
     def has_arrived(self, X_WB: RigidTransform, tolerance: float) -> bool:
         """Whether the wrist rests at a pose, or cannot come nearer."""

@@ -76,10 +76,20 @@ class GraspGoal(Goal):
 
         Of equivalent yaws it has the one nearest to zero, so that the wrist turns least.
         """
-        R = X_WO.rotation().matrix()
-        yaw = math.atan2(R[1, 0], R[0, 0])
+        yaw = yaw_of(X_WO.rotation())
         yaw = 0.0 if self.yaw_symmetry == 0 else math.remainder(yaw, self.yaw_symmetry)
         return RigidTransform(RotationMatrix.MakeZRotation(yaw), X_WO.translation())
+
+
+def yaw_of(R_WO: RotationMatrix) -> float:
+    """Returns the yaw of an object, rad, by the one of its x and y axes that is nearer to the horizontal.
+
+    A vertical axis has no yaw, so a block that has tumbled onto a side is turned by the other one.
+    """
+    R = R_WO.matrix()
+    if np.hypot(*R[:2, 0]) >= np.hypot(*R[:2, 1]):
+        return math.atan2(R[1, 0], R[0, 0])
+    return math.atan2(-R[0, 1], R[1, 1])
 
 
 class Plan(NamedTuple):

@@ -9,8 +9,12 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.simulation.person.engine import Moment, Phase, opposition, rest
 from geort_drake.simulation.person.finger_motion import limited
+from geort_drake.simulation.person.goal import yaw_of
 from geort_drake.simulation.person.perception import averaged
 from geort_drake.systems.port_values import rotation_of_vector
+
+# Unit forces of thumb and fingers whose sum is larger need the palm: half a unit is within friction.
+_UNBALANCED = 0.5
 
 
 @dc.dataclass(frozen=True)
@@ -37,11 +41,10 @@ def shape(m: Moment) -> np.ndarray:
 
 
 def _around(m: Moment, depth: float) -> np.ndarray:
-    """Returns fingertips `depth` (m) below the seen surface, (F, 3) in B; NaN for fingers that feel it."""
+    """Returns fingertips `depth` (m) below the seen surface, (F, 3) in B."""
     X_BO = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)
     target, touches = m.goal.p_BF_open.copy(), m.goal.touches
     target[touches] = X_BO.multiply((m.goal.p_OF_touch + depth * m.goal.n_OF)[touches].T).T
-    target[touches & m.feels] = np.nan
     return target
 
 
@@ -52,7 +55,9 @@ def gather(m: Moment) -> np.ndarray:
 
 def close(m: Moment) -> np.ndarray:
     """slowly close; a finger that feels the object stops"""
-    return _around(m, m.config.overshoot)
+    target = _around(m, m.config.overshoot)
+    target[m.goal.touches & m.feels] = np.nan
+    return target
 
 
 def closing_speed(m: Moment) -> np.ndarray:
@@ -101,6 +106,23 @@ def grip_firmer(m: Moment) -> None:
     m.note(grip_force=m.config.firmer * _wanted_grip(m))
 
 
+def _inwards(m: Moment, touches: np.ndarray) -> np.ndarray:
+    """Returns motions (F, 3) in B with which the fingers of `touches` (F,) and the thumb press.
+
+    Where the intended normals of thumb and fingers do not balance, the palm bears the rest: they press along
+    the normals, into the palm. Otherwise they press towards each other, see `opposition`.
+    """
+    n_OF = getattr(m.goal, "n_OF", None)
+    others = m.goal.touches & (np.arange(len(touches)) != m.thumb)
+    if n_OF is None or np.linalg.norm(n_OF[m.thumb] + n_OF[others].mean(axis=0)) < _UNBALANCED:
+        return opposition(m.seen.p_BF, touches, m.thumb)
+    pressing = touches | (np.arange(len(touches)) == m.thumb)
+    R_BO = (m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)).rotation().matrix()
+    way = np.where(pressing[:, None], n_OF @ R_BO.T, 0.0)
+    way[others] /= np.count_nonzero(others)
+    return way
+
+
 def _pressing(m: Moment, is_firm: bool) -> np.ndarray:
     """Returns velocities (F, 3), m/s, with which fingertips close further, and press if they are not firm.
 
@@ -110,10 +132,10 @@ def _pressing(m: Moment, is_firm: bool) -> np.ndarray:
     touches, config, pressed = m.goal.touches, m.config, m.recall("pressed")
     # A person without touch takes all to be touching.
     feels = touches & m.feels if config.touch else touches
-    velocity = config.closing_speed * opposition(m.seen.p_BF, touches, m.thumb)
+    velocity = config.closing_speed * _inwards(m, touches)
     velocity[feels] = 0.0
     if feels[m.thumb] and np.count_nonzero(feels) > 1 and not is_firm:
-        velocity += config.squeeze_speed * opposition(m.seen.p_BF, feels, m.thumb)
+        velocity += config.squeeze_speed * _inwards(m, feels)
     velocity *= np.linalg.norm(pressed, axis=1).max() < config.squeeze
     contact = averaged(m.recall("contact"), m.seen.contact, config)
     m.note(pressed=pressed + config.period * velocity, contact=contact)
@@ -142,7 +164,7 @@ def outwards(m: Moment, error: np.ndarray) -> np.ndarray:
     """Ignores errors inwards while the squeeze is undone: the fingertips hardly move then."""
     if m.since > m.config.squeeze / m.config.opening_speed + m.config.visual_delay:
         return error
-    inwards = opposition(m.seen.p_BF, m.goal.touches, m.thumb)
+    inwards = _inwards(m, m.goal.touches)
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
     return error - np.maximum(np.sum(error * inwards, axis=1, keepdims=True), 0.0) * inwards
 
@@ -164,12 +186,12 @@ def _at_object(m: Moment) -> RigidTransform:
 
 def go_before(m: Moment) -> RigidTransform | None:
     """goes to 80 to 170 mm before the grasp"""
-    return _go(m, _before(m), m.config.reach_tolerance)
+    return _go(m, _before(m), m.tolerance(m.config.reach_tolerance))
 
 
 def go_around(m: Moment) -> RigidTransform | None:
     """goes around the object"""
-    return _go(m, _at_object(m), m.config.reach_tolerance)
+    return _go(m, _at_object(m), m.tolerance(m.config.reach_tolerance))
 
 
 def _shift(m: Moment) -> np.ndarray | None:
@@ -180,6 +202,8 @@ def _shift(m: Moment) -> np.ndarray | None:
     error, config = m.memory.error, m.config
     assert error is not None  # set at the start of every decision
     touches = m.goal.touches
+    if m.memory.movements >= config.max_corrections:
+        return None
     X_BO = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)
     depth = config.overshoot if m.recall("closing") else 0.0
     error = np.nan_to_num(error - depth * (m.goal.n_OF @ X_BO.rotation().matrix().T))
@@ -213,7 +237,7 @@ def _to_place(m: Moment) -> RigidTransform:
     R = RotationMatrix()
     if m.settings.upright:
         R = _tilt_to(X_WO.rotation().col(2), X_WP.rotation().col(2))
-    yaw, symmetry = _yaw(X_WP.rotation()) - _yaw(R @ X_WO.rotation()), m.goal.yaw_symmetry
+    yaw, symmetry = yaw_of(X_WP.rotation()) - yaw_of(R @ X_WO.rotation()), m.goal.yaw_symmetry
     yaw = math.remainder(yaw, symmetry) if symmetry else 0.0
     return RigidTransform(RotationMatrix.MakeZRotation(yaw) @ R, X_WP.translation() - X_WO.translation())
 
@@ -243,10 +267,29 @@ def lower(m: Moment) -> RigidTransform | None:
 
 def _is_shaped(m: Moment, tolerance: float) -> bool:
     """Whether the fingertips are at their targets, or as near as fingers and hand can bring them."""
-    return m.worst_error < tolerance or (m.fingers_at_limit and _shift(m) is None)
+    return m.worst_error < m.tolerance(tolerance) or _at_limit(m)
+
+
+def _at_limit(m: Moment) -> bool:
+    """Whether neither fingers nor hand can bring the fingertips nearer to their targets."""
+    return m.fingers_at_limit and _shift(m) is None
+
+
+def _beside(m: Moment) -> float:
+    """Returns the largest averaged distance of a touching fingertip from its place, along the surface, m."""
+    X_BO, touches = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO), m.goal.touches
+    off = X_BO.inverse().multiply(m.seen.p_BF.T).T - m.goal.p_OF_touch
+    off -= np.sum(off * m.goal.n_OF, axis=1, keepdims=True) * m.goal.n_OF
+    off = averaged(m.recall("beside"), off[touches], m.config)
+    m.note(beside=off)
+    return float(np.linalg.norm(off, axis=1).max())
 
 
 def _has_slipped(m: Moment) -> bool:
+    """Whether the object is seen to have moved in the hand, or no finger feels it."""
+    felt = m.recall("contact")
+    if m.config.touch and felt is not None and felt.max() < m.config.touch_force:
+        return True
     return bool(np.linalg.norm(m.memory.p_BO - m.recall("p_BO")) > m.config.lost_distance)
 
 
@@ -263,13 +306,14 @@ def is_before(m: Moment) -> str | None:
     """hand in place, fingers shaped"""
     # Fingers at their limit may miss by up to the clearance.
     near = m.goal.clearance if m.fingers_at_limit else 0.0
-    shaped = m.worst_error < max(m.config.shape_tolerance, near)
-    return "approach" if shaped and m.has_arrived(_before(m), m.config.reach_tolerance) else None
+    shaped = m.worst_error < m.tolerance(max(m.config.shape_tolerance, near))
+    return "approach" if shaped and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance)) else None
 
 
 def is_around(m: Moment) -> str | None:
     """hand in place"""
-    return "surround" if m.has_arrived(_at_object(m), m.config.reach_tolerance) else None
+    m.note(regrasps=0)
+    return "surround" if m.has_arrived(_at_object(m), m.tolerance(m.config.reach_tolerance)) else None
 
 
 def is_gathered(m: Moment) -> str | None:
@@ -277,16 +321,18 @@ def is_gathered(m: Moment) -> str | None:
     m.note(closing=False)
     if not m.wrist_rests or not _is_shaped(m, m.config.aperture_tolerance):
         return None
-    m.note(closing=True)
+    m.note(closing=True, beside=None)
     return "close"
 
 
 def all_feel(m: Moment) -> str | None:
-    """all grasping fingers feel the object"""
-    # A person without touch takes fingers that have stopped to be touching.
-    stopped = not m.config.touch and m.fingers_at_limit and _shift(m) is None
-    if not (m.feels[m.goal.touches].all() or stopped):
+    """all grasping fingers feel the object, or come no nearer; they gather again if one missed its place"""
+    beside = _beside(m)
+    if not (m.feels[m.goal.touches].all() or _at_limit(m)):
         return None
+    if beside > m.tolerance(m.config.aperture_tolerance) and m.recall("regrasps") < m.config.max_corrections:
+        m.note(regrasps=m.recall("regrasps") + 1)
+        return "surround"
     return begin_squeeze(m)
 
 
@@ -336,7 +382,7 @@ def is_down(m: Moment) -> str | None:
 
 def is_open(m: Moment) -> str | None:
     """fingers shaped, and no contact is felt"""
-    shaped = m.worst_error < m.config.shape_tolerance or m.fingers_at_limit
+    shaped = m.worst_error < m.tolerance(m.config.shape_tolerance) or m.fingers_at_limit
     freed = not m.feels.any() or m.since > m.config.opening_time
     return "retreat" if shaped and freed else None
 
@@ -344,7 +390,7 @@ def is_open(m: Moment) -> str | None:
 def has_retreated(m: Moment) -> str | None:
     """the object is seen off its place"""
     off = np.linalg.norm(_to_place(m).translation()) > 2 * m.config.reach_tolerance
-    if not (off and m.has_arrived(_before(m), m.config.reach_tolerance)):
+    if not (off and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
     m.memory.attempt += 1
     return "reach"
@@ -369,10 +415,6 @@ PLACE = (
     Phase("retreat", shape, has_retreated, go_before),
     _RELEASE,
 )
-
-
-def _yaw(R: RotationMatrix) -> float:
-    return math.atan2(R.matrix()[1, 0], R.matrix()[0, 0])
 
 
 def _tilt_to(v: np.ndarray, u: np.ndarray) -> RotationMatrix:

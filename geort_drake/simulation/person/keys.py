@@ -16,19 +16,31 @@ def _travel(m: Moment, finger: int) -> float:
 
 
 def above(m: Moment) -> np.ndarray:
-    """go above the keys; one whose key is seen to go down without a cue is raised"""
+    """go above the keys; one that feels its key or sees it go down without a cue is raised"""
     config, goal, raised = m.config, m.goal, m.recall("raised", np.zeros(len(m.goal.touches))).copy()
     for finger in np.flatnonzero(goal.touches).tolist():
-        if finger not in m.recall("acting", ()) and _travel(m, finger) > m.settings.still:
+        idle = finger not in m.recall("acting", ())
+        if idle and (m.feels[finger] or _travel(m, finger) > m.settings.still):
             step = config.lift * config.period / config.attention_time
             raised[finger] = min(raised[finger] + step, 3 * config.lift)
     m.note(raised=raised)
     return goal.p_BF_open - np.outer(raised, _PRESS)
 
 
+def idle_as_seen(m: Moment, error: np.ndarray) -> np.ndarray:
+    """Ignores what twice the error of vision may explain of the errors of fingers without a cue.
+
+    They would drift into their keys, because they hover nearer to these than a person sees.
+    """
+    size = np.linalg.norm(error, axis=1, keepdims=True)
+    beyond = error * np.maximum(1 - 2 * m.config.visual_error / np.maximum(size, 1e-9), 0.0)
+    acting = np.isin(np.arange(len(error)), m.recall("acting", ()))
+    return np.where(acting[:, None], error, beyond)
+
+
 def _pressed(m: Moment, share: float, further: float) -> np.ndarray:
     target, (finger,) = above(m), m.recall("acting")
-    target[finger] += share * (m.goal.p_BF_pressed - m.goal.p_BF_open)[finger] + further * _PRESS
+    target[finger] += share * (m.goal.p_BF_pressed - target)[finger] + further * _PRESS
     return target
 
 
@@ -79,9 +91,9 @@ def is_back(m: Moment) -> str | None:
 
 
 KEYS = (
-    Phase("settle", above, has_settled, rest),
-    Phase("wait", above, is_cued, rest),
-    Phase("choose", above, has_chosen, rest),
-    Phase("press", press, is_down, rest),
-    Phase("release", release, is_back, rest),
+    Phase("settle", above, has_settled, rest, error=idle_as_seen),
+    Phase("wait", above, is_cued, rest, error=idle_as_seen),
+    Phase("choose", above, has_chosen, rest, error=idle_as_seen),
+    Phase("press", press, is_down, rest, error=idle_as_seen),
+    Phase("release", release, is_back, rest, error=idle_as_seen),
 )
