@@ -125,7 +125,10 @@ def act(
 def act_in(
     world: StandInWorld, seed: int = 3, kind: str = "servo", phases: tuple = GRASP, duration: float = 30.0
 ) -> SimpleNamespace:
-    """Lets a person grasp to one second into the hold, or grasp and lift to carry, in that world."""
+    """Lets a person grasp to one second into the hold, or grasp and lift to carry, in that world.
+
+    The visited phases leave out that fingers which missed their places gather and close again.
+    """
     config = world.config
     own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
     goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
@@ -141,6 +144,8 @@ def act_in(
         memory = person.step(memory, step * config.period, seen)
         theta.append(memory.theta)
         wrist.append(memory.X_WH.translation())
+        if (visited[-1], names[memory.phase]) == ("close", "surround"):
+            visited.pop()  # the fingers gather again
         if names[memory.phase] != visited[-1]:
             visited.append(names[memory.phase])
         if visited[-1] == "lift":
@@ -266,7 +271,7 @@ def test_the_grasp_also_holds_without_touch():
 
 @pytest.mark.parametrize(
     "factor",
-    [2, pytest.param(4, marks=pytest.mark.xfail(reason="the hand is never shaped; the cause is open"))],
+    [2, 4],
 )
 def test_the_grasp_also_holds_in_a_noisier_scene(factor):
     noisy = {name: factor * getattr(OperatorConfig(), name) for name in QUIET}
@@ -298,3 +303,14 @@ def test_the_object_frame_is_upright_and_takes_the_nearest_of_equivalent_yaws(sy
             steps = (yaw - turn) / symmetry
             assert steps == pytest.approx(round(steps), abs=1e-9)
         np.testing.assert_array_equal(X_WO.translation(), [1, 2, 3])
+
+
+def test_a_cube_that_has_tumbled_keeps_the_yaw_of_its_sides(rng):
+    """Whichever axis is up, and however little it leans: the grasp's axes are normal to two of its sides."""
+    goal = dc.replace(StandInWorld(1.0, OperatorConfig()).goal, yaw_symmetry=np.pi / 2)
+    for roll, pitch in ((0, 0), (np.pi / 2, 0), (0, np.pi / 2), (np.pi, 0), (0, -np.pi / 2)):
+        yaw = rng.uniform(-0.7, 0.7)
+        lean = RollPitchYaw(rng.normal(0, 0.02, 3)).ToRotationMatrix()
+        R_WO = RotationMatrix.MakeZRotation(yaw) @ lean @ RollPitchYaw(roll, pitch, 0).ToRotationMatrix()
+        X_WO = goal.object_frame(RigidTransform(R_WO, [0, 0, 0]))
+        assert RollPitchYaw(X_WO.rotation()).yaw_angle() == pytest.approx(yaw, abs=0.1)

@@ -99,7 +99,9 @@ class TrialBuilder:
     def person(self, number: int) -> HumanHand:
         """Returns the hand of a person of the population by `Scenario.person`."""
         if number not in self._people:
-            sampled = sample_person(0, number).hand if number else HumanHand.fit(self._recording)
+            sampled = (
+                sample_person(0, number).hand.in_wrist_frame() if number else HumanHand.fit(self._recording)
+            )
             self._people[number] = sampled
         return self._people[number]
 

@@ -15,7 +15,13 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError
-from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_NAMES, KEYPOINT_COUNT, bone_lengths
+from geort_drake.people.keypoints import (
+    BASE_KEYPOINT,
+    FINGER_NAMES,
+    KEYPOINT_COUNT,
+    bone_lengths,
+    wrist_pose,
+)
 from geort_drake.people.recording import Recording
 
 _JOINT_SUFFIXES = {
@@ -110,6 +116,12 @@ class HumanHand:
         p_HK = chain @ self.R_HB.transpose(0, 2, 1) + self.p_HB[:, None]
         p[..., 1:, :] = p_HK.reshape(*p_HK.shape[:-3], 20, 3)
         return p
+
+    def in_wrist_frame(self) -> "HumanHand":
+        """Returns the hand in the frame H of its own wrist and knuckles; anatomical variation turns it."""
+        R_DH, p_DH = wrist_pose(self.keypoints(np.zeros(20)))
+        R_HD = R_DH.T
+        return dataclasses.replace(self, p_HB=(self.p_HB - p_DH) @ R_DH, R_HB=R_HD @ self.R_HB)
 
     def fingertips(self, theta: np.ndarray) -> np.ndarray:
         """Computes fingertips p_HF (..., 5, 3), m, thumb to little, at joint angles theta (..., 20), rad."""

@@ -206,6 +206,11 @@ class Moment:
         return max(wanted, self.config.visual_error)
 
     @property
+    def turn_tolerance(self) -> float:
+        """Tolerance of a rotation between two bodies, rad; each is seen with errors about three axes."""
+        return max(self.config.turn_tolerance, np.sqrt(6) * self.config.visual_turn_noise)
+
+    @property
     def fingers_at_limit(self) -> bool:
         """Whether the fingertips' error has not fallen for a while."""
         return self.t - self.memory.best_time > self.config.patience
@@ -220,11 +225,9 @@ class Moment:
 
     def is_at(self, X_WB: RigidTransform, tolerance: float) -> bool:
         """Whether the robot's hand is seen at a pose, within a distance, m."""
-        X, config = self.seen.X_BW @ X_WB, self.config
+        X = self.seen.X_BW @ X_WB
         near = np.linalg.norm(X.translation()) < tolerance
-        # Of the hand and of what it goes to, about three axes each.
-        turn_error = np.sqrt(6) * config.visual_turn_noise
-        return bool(near and X.rotation().ToAngleAxis().angle() < max(config.turn_tolerance, turn_error))
+        return bool(near and X.rotation().ToAngleAxis().angle() < self.turn_tolerance)
 
     def has_arrived(self, X_WB: RigidTransform, tolerance: float) -> bool:
         """Whether the wrist rests at a pose, or cannot come nearer."""

@@ -330,8 +330,9 @@ def all_feel(m: Moment) -> str | None:
     beside = _beside(m)
     if not (m.feels[m.goal.touches].all() or _at_limit(m)):
         return None
-    if beside > m.tolerance(m.config.aperture_tolerance) and m.recall("regrasps") < m.config.max_corrections:
-        m.note(regrasps=m.recall("regrasps") + 1)
+    regrasps = m.recall("regrasps")
+    if beside > m.tolerance(m.config.aperture_tolerance) and regrasps < m.config.max_corrections:
+        m.note(regrasps=regrasps + 1)
         return "surround"
     return begin_squeeze(m)
 
