@@ -55,8 +55,8 @@ if TYPE_CHECKING:
     from geort_drake.simulation.diagram import make_trial_diagram as make_trial_diagram
     from geort_drake.simulation.scenario_files import load_scenario as load_scenario
     from geort_drake.simulation.trial import run_trial as run_trial
-    from geort_drake.systems.action_correction import ActionCorrection as ActionCorrection
-    from geort_drake.systems.glove_replay import GloveReplay as GloveReplay
+    from geort_drake.systems.corrections import ActionCorrection as ActionCorrection
+    from geort_drake.systems.glove import GloveReplay as GloveReplay
     from geort_drake.systems.retargeting_system import RetargetingSystem as RetargetingSystem
     from geort_drake.systems.wrist_to_arm import WristToArm as WristToArm
 
@@ -64,8 +64,8 @@ __version__ = "0.1.0"
 
 # Public name → module that defines it.
 _MODULES = {
-    "ActionCorrection": "systems.action_correction",
-    "GloveReplay": "systems.glove_replay",
+    "ActionCorrection": "systems.corrections",
+    "GloveReplay": "systems.glove",
     "Hand": "hands.hand",
     "Recording": "people.recording",
     "Retargeter": "retargeting.base",

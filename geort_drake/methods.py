@@ -75,7 +75,7 @@ def resolve(
     """
     path = Path(method)
     if path.suffix == PYTHON_SUFFIX:
-        return OwnMethod(path.resolve(), hand.description), path
+        return OwnMethod(path.resolve(), hand), path
     if method not in METHODS:
         return load_retargeter(path, hand), path
     if method == "universal":

@@ -31,16 +31,14 @@ class OwnMethod:
         faults: kind of fault → number of outputs since `reset`.
     """
 
-    def __init__(self, path: Path, description: HandDescription | str):
-        """`description` is the hand's, or its name or file."""
-        self._path, self._description = path, description
-        self._hand = hand = Hand(description)
+    def __init__(self, path: Path, hand: Hand):
+        self._path, self._hand = path, hand
         self.finger_names, self.joint_names = hand.finger_names, hand.joint_names
         self.lower, self.upper = hand.lower, hand.upper
         self.reset()
 
     def __reduce__(self) -> tuple:
-        return OwnMethod, (self._path, self._description)  # solvers cannot be pickled
+        return _for_description, (self._path, self._hand.description)  # solvers cannot be pickled
 
     def reset(self) -> None:
         """Begins a new trial."""
@@ -111,6 +109,10 @@ class OwnMethod:
             return "not finite"
         outside = (q < self.lower - _TOLERANCE) | (q > self.upper + _TOLERANCE)
         return "outside the limits" if outside.any() else ""
+
+
+def _for_description(path: Path, description: HandDescription) -> OwnMethod:
+    return OwnMethod(path, Hand(description))
 
 
 def _load(path: Path) -> Any:

@@ -16,13 +16,12 @@ from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
-from geort_drake.simulation.judge import PERIOD, Judgement, Outcome
 from geort_drake.simulation.person.finger_motion import FingerMotion
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Task, TrialResult
+from geort_drake.simulation.task import PERIOD, Judgement, Outcome, Task, TrialResult
 from geort_drake.simulation.tasks import find_task
 
 GAIN = 1.5

@@ -18,7 +18,7 @@ from geort_drake.live.web.session import robot_joints
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel
 from geort_drake.simulation.world import ARM, HAND
-from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.glove import GloveRecorder
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.wrist_to_arm import WristChecks
 

@@ -10,7 +10,7 @@ from grasp_setup import TOO_SHORT, human_with, judged, plan_once, planned_goal, 
 
 from geort_drake import Hand, load_hand, load_scenario, make_trial_diagram, run_trial
 from geort_drake.benchmark import run as benchmark_run
-from geort_drake.benchmark import trials
+from geort_drake.benchmark import workers
 from geort_drake.benchmark.log import TrialKey, key_of, read_rows
 from geort_drake.benchmark.run import Benchmark, Settings, Variant, read_scenarios, read_settings, vary
 from geort_drake.cli import main, run_command
@@ -172,7 +172,7 @@ def test_a_trial_that_raises_is_recorded_and_stops_no_other(tmp_path, monkeypatc
         return run_trial(scenario, *rest, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(trials, "run_trial", failing)
+        patch.setattr(workers, "run_trial", failing)
         assert run(tmp_path, "--methods", "hold") == 1
     row = rows_of(tmp_path)[key("hold", 1)]
     assert row["error"] == "ArithmeticError: the <map> has failed" and "in failing" in row["traceback"]
@@ -304,7 +304,7 @@ def test_every_method_has_the_scenarios_latency_or_the_measured_one(tmp_path, mo
     def use(scenario, *_):
         used.append((scenario.retargeting.latency, robot_model(scenario, load_hand(scenario.hand))))
 
-    monkeypatch.setattr(trials, "run_trial", use)
+    monkeypatch.setattr(workers, "run_trial", use)
     stored = {}
     for name, measure in (("measured", True), ("scenario", False)):
         settings = Settings(measure_latency=measure)
@@ -313,7 +313,7 @@ def test_every_method_has_the_scenarios_latency_or_the_measured_one(tmp_path, mo
         methods = {"hold": "hold", "anyteleop": "anyteleop"}
         benchmark = Benchmark(tmp_path / name, settings, scenarios, methods)
         list(benchmark.plan([key("hold", 0)], 1, "loky"))
-        trials.simulate(key("hold", 0), benchmark.trial(key("hold", 0)))
+        workers.simulate(key("hold", 0), benchmark.trial(key("hold", 0)))
         stored[name] = {method: entry["latency_s"] for method, entry in settings.methods.items()}
     assert stored["measured"]["anyteleop"] > stored["measured"]["hold"] > 0
     assert [latency for latency, _ in used] == [stored["measured"]["hold"], 0.004]

@@ -12,10 +12,14 @@ from system_bench import SystemBench
 
 from geort_drake.errors import HandError, PolicyError
 from geort_drake.hands.collision import HandClearance
-from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.corrections import (
+    POLICY_FAILED,
+    ActionCorrection,
+    PolicyCorrection,
+    SelfCollisionGuard,
+    load_policy,
+)
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.policy_correction import POLICY_FAILED, PolicyCorrection, load_policy
-from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
 CLEARANCE = 0.002
 

@@ -15,7 +15,7 @@ from pydrake.systems.framework import System
 
 from geort_drake import Recording, load_retargeter, make_trial_diagram
 from geort_drake.simulation.world import HAND
-from geort_drake.systems.self_collision_guard import SelfCollisionGuard
+from geort_drake.systems.corrections import SelfCollisionGuard
 
 
 def glove(p_W_moved=(0.0, 0.0, 0.0), spread: float = 0.0, duration: float = 3.0) -> Recording:

@@ -13,8 +13,7 @@ from grasp_setup import TOO_SHORT, allegro, human_with, judged
 
 from geort_drake import load_scenario
 from geort_drake.benchmark.log import TrialKey, key_of
-from geort_drake.benchmark.trials import simulate
-from geort_drake.benchmark.workers import call_in_workers
+from geort_drake.benchmark.workers import call_in_workers, simulate
 from geort_drake.errors import BenchmarkError
 from geort_drake.retargeting import METHODS
 from geort_drake.simulation.trial import Trial
@@ -91,7 +90,7 @@ def test_a_dead_worker_raises_an_error():
 
 def test_a_worker_loads_neither_torch_nor_plots_nor_rerun():
     code = (
-        "import sys, geort_drake.benchmark.trials; "
+        "import sys, geort_drake.benchmark.workers; "
         "from geort_drake.retargeting import affine_ik, online, store; "
         "assert not {'torch', 'matplotlib', 'pandas', 'rerun'} & sys.modules.keys()"
     )

@@ -17,7 +17,7 @@ from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
 from geort_drake.people.recording_log import RecordingLog, read_log
-from geort_drake.simulation.judge import Outcome
+from geort_drake.simulation.task import Outcome
 from geort_drake.simulation.tasks import task_names
 from geort_drake.simulation.tasks.grasp import GraspPhase
 

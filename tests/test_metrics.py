@@ -259,7 +259,7 @@ def test_a_method_of_whole_hands_gets_recorded_hands_with_moved_fingers(allegro,
     """Recorded fingertips give recorded hands; a moved tip takes its finger along, and the knuckle stays."""
     (tmp_path / "mine.py").write_text(FOLLOWER.format(good=10**9))
     given = []
-    method = OwnMethod(tmp_path / "mine.py", allegro.description)
+    method = OwnMethod(tmp_path / "mine.py", allegro)
     method._retarget = lambda p_HK: given.append(p_HK) or allegro.default_position
     retarget = evaluation.complete_hands(method, allegro, play)
     tips = play.fingertips(allegro.description.human_keypoints)
@@ -280,11 +280,11 @@ def test_a_method_of_whole_hands_gets_recorded_hands_with_moved_fingers(allegro,
 def test_a_method_of_ones_own_is_evaluated_unless_its_outputs_are_unusable(allegro, play, tmp_path):
     (tmp_path / "mine.py").write_text(FOLLOWER.format(good=10**9))
     short = dataclasses.replace(play, t=play.t[:40], p_HK=play.p_HK[:40], valid=play.valid[:40])
-    figures = evaluation.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
+    figures = evaluation.evaluate(OwnMethod(tmp_path / "mine.py", allegro), allegro, short)
     assert figures["self_collision"] is not None and figures["posture"]["median"] > 0
     (tmp_path / "mine.py").write_text(FOLLOWER.format(good=15))
     with pytest.raises(MethodError, match=r"outputs are unusable: \{'of shape \(\)'"):
-        evaluation.evaluate(OwnMethod(tmp_path / "mine.py", allegro.description), allegro, short)
+        evaluation.evaluate(OwnMethod(tmp_path / "mine.py", allegro), allegro, short)
 
 
 def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch):

@@ -11,12 +11,12 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from geort_drake import load_scenario
-from geort_drake.benchmark import trials
 from geort_drake.benchmark.log import TrialKey
+from geort_drake.benchmark.workers import simulate
 from geort_drake.errors import MethodError
 from geort_drake.methods import measure_latency, names_of
 from geort_drake.own_method import OwnMethod
-from geort_drake.simulation.scenario import dump_scenario
+from geort_drake.simulation.trial import Trial
 
 DEX_EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
 
@@ -39,7 +39,7 @@ def make(hand):
 def own(tmp_path, line: str = "pass") -> OwnMethod:
     path = tmp_path / "mine.py"
     path.write_text(FILE.format(line))
-    return OwnMethod(path, "allegro_right")
+    return OwnMethod(path, allegro())
 
 
 def test_each_trial_and_each_process_makes_the_method_anew(tmp_path, play):
@@ -67,9 +67,9 @@ FAULTS = {
 def test_a_fault_during_a_trial_is_counted_and_the_trial_goes_on(tmp_path, line, fault):
     """The joints hold, or stay at their limits; the row counts the answers."""
     method = own(tmp_path, f"if len(calls) > 3: {line}")
-    text, human = dump_scenario(load_scenario(text=TOO_SHORT)), (person_who_plays(), reach_goal())
+    scenario = load_scenario(text=TOO_SHORT.replace("}", ", retargeting: {latency: 0.05}}"))
     key = TrialKey("mine.py", 0, "grasp", "servo", "", "cylinder", 0, 0)
-    record = trials.simulate(trials.Trial(key, text, method, 0.05, human))
+    record = simulate(key, Trial(scenario, method, (person_who_plays(), reach_goal())))
     assert record["outcome"].startswith("timeout") and list(record["faults"]) == [fault]
     assert record["faults"][fault] > 1
 
@@ -83,11 +83,11 @@ def test_a_method_that_cannot_answer_the_first_frame_is_refused_by_its_file(tmp_
 
 
 @pytest.mark.parametrize("text", ["", "make = 3", "import no_module", "def make(:", "def make(hand): pass"])
-def test_a_file_without_a_method_is_refused(tmp_path, play, allegro, text):
+def test_a_file_without_a_method_is_refused(tmp_path, play, text):
     fault = r"(raised (Mod|Syn)|the file must define|make\(hand\) must return a function; it returned None)"
     (tmp_path / "mine.py").write_text(text)
     with pytest.raises(MethodError, match=rf"mine\.py: {fault}"):
-        OwnMethod(tmp_path / "mine.py", "allegro_right").check(play.p_HK[0])
+        OwnMethod(tmp_path / "mine.py", allegro()).check(play.p_HK[0])
     with pytest.raises(MethodError, match=r"other\.py: no such file"):
         names_of([str(tmp_path / "other.py")])
 
@@ -123,4 +123,4 @@ def test_the_urdf_of_a_hand_has_its_fingertips(tmp_path):
 def test_a_method_of_another_package_runs(play):
     """dex-retargeting, by the example in the docs."""
     pytest.importorskip("dex_retargeting")
-    OwnMethod(DEX_EXAMPLE, "allegro_right").check(play.p_HK[0])
+    OwnMethod(DEX_EXAMPLE, allegro()).check(play.p_HK[0])

@@ -9,10 +9,10 @@ from system_bench import SystemBench, joint_plant
 
 from geort_drake import GloveReplay, Recording, RetargetingSystem
 from geort_drake.errors import HandError, RecordingError
-from geort_drake.simulation.judge import PERIOD, Outcome
+from geort_drake.simulation.task import PERIOD, Outcome
 from geort_drake.simulation.tasks.grasp import GraspPhase, GraspSettings, judgement
+from geort_drake.systems.glove import GloveRecorder
 from geort_drake.systems.glove_checks import GloveChecks
-from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import pose_to_vector
 from geort_drake.systems.retargeting_status import HELD_NOT_FINITE

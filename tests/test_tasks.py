@@ -30,10 +30,10 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic import solid
 from geort_drake.simulation import person, tasks, wrist_motion
 from geort_drake.simulation.following import RobotModel
-from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.engine import KINDS
 from geort_drake.simulation.person.learning import LearnedMotion
+from geort_drake.simulation.task import Outcome
 from geort_drake.simulation.tasks import cap, find_task, keys, peg, pick_place, task_names
 from geort_drake.simulation.tasks.keys import HOVER, PITCH, TRAVEL, KeysSettings
 from geort_drake.simulation.transfer import judgement

@@ -18,8 +18,7 @@ import yaml
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 
 from geort_drake.benchmark.log import TRIALS, Row, TrialKey, TrialLog, read_rows
-from geort_drake.benchmark.trials import error_row, plan, simulate
-from geort_drake.benchmark.workers import call_in_workers
+from geort_drake.benchmark.workers import call_in_workers, error_row, plan, simulate
 from geort_drake.console import warn
 from geort_drake.errors import BenchmarkError, MethodError, ScenarioError
 from geort_drake.files import digest_of, sha256_of, source_digest, write_text

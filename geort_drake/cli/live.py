@@ -90,7 +90,7 @@ class Live(Command, ScenarioOptions):
         from geort_drake.live.transports import is_address, open_receiver, split_address
         from geort_drake.people.recording_log import RecordingLog
         from geort_drake.simulation.following import robot_model
-        from geort_drake.systems.glove_recorder import GloveRecorder
+        from geort_drake.systems.glove import GloveRecorder
 
         for option in ("relax_after", "duration", "timeout", "robot_silence"):
             value = getattr(self, option)

@@ -174,9 +174,10 @@ class Grasp(Command, ScenarioOptions):
         from geort_drake.simulation.tasks.grasp import explained
 
         grasps = all(result.task == "grasp" for result in results)
+        rows = [_row(result) for result in results]
         print_table(
             ("object", "seed", "outcome", "hold at", "attempts", "height", "force", "speed"),
-            [_row(result) for result in results],
+            rows,
             title="Grasps" if grasps else "Trials",
             caption="hold at: when the successful hold began; height, force: peak; speed: times real time",
             text=("outcome",),

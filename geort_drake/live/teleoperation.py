@@ -16,12 +16,11 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import AFTER, EngageSwitch, Watchdog
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel, add_arm, add_fingers
-from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Stage
-from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.simulation.task import Outcome, Stage
+from geort_drake.systems.corrections import ActionCorrection
+from geort_drake.systems.glove import GloveRecorder
 from geort_drake.systems.glove_checks import GloveChecks
-from geort_drake.systems.glove_recorder import GloveRecorder
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import HELD_LOST
 from geort_drake.systems.retargeting_system import RetargetingSystem

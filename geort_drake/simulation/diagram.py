@@ -24,9 +24,8 @@ from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import actuated_state
 from geort_drake.simulation.worn_glove import WornGlove
+from geort_drake.systems.glove import GloveRecorder, GloveReplay
 from geort_drake.systems.glove_checks import GloveChecks
-from geort_drake.systems.glove_recorder import GloveRecorder
-from geort_drake.systems.glove_replay import GloveReplay
 from geort_drake.systems.port_values import mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
@@ -153,23 +152,10 @@ def make_trial_diagram(
     recorder = None
     if rerun_path is not None:
         # Imported here, so that a simulation without a recording does not load Rerun.
-        from geort_drake.simulation.recording import add_grasp_recorder
+        from geort_drake.simulation.recording import add_trial_recorder
 
-        recorder = add_grasp_recorder(
-            builder,
-            stage,
-            rerun_path,
-            scenario,
-            description,
-            seen,
-            operator or source,
-            hand_source,
-            retargeting,
-            correction,
-            wrist_to_arm,
-            # The person's hand is drawn next to the robot's, towards the camera.
-            RigidTransform(X_WB_start.translation() + [-0.05, -0.42, -0.10]),
-            dict(properties or {}),
+        recorder = add_trial_recorder(
+            builder, stage, rerun_path, scenario, description, seen, hand_source, properties or {}
         )
 
     diagram = builder.Build()

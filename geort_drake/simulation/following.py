@@ -14,13 +14,16 @@ from geort_drake.hands.hand import Hand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, actuated_joints, add_robot
-from geort_drake.systems.action_correction import ActionCorrection
+from geort_drake.systems.corrections import (
+    ActionCorrection,
+    PolicyCorrection,
+    SelfCollisionGuard,
+    load_policy,
+)
+from geort_drake.systems.glove import HandMirror
 from geort_drake.systems.glove_checks import GloveChecks
-from geort_drake.systems.hand_mirror import HandMirror
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.policy_correction import PolicyCorrection, load_policy
 from geort_drake.systems.retargeting_system import RetargetingSystem
-from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 from geort_drake.systems.wrist_to_arm import WristToArm
 
 

@@ -6,13 +6,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
-from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
 
 from geort_drake import __version__
 from geort_drake.colours import finger_colors
+from geort_drake.files import atomic_path
 from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.description import HandDescription
 from geort_drake.rerun import (
@@ -27,10 +29,9 @@ from geort_drake.rerun import (
     add_rerun_recorder,
 )
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Stage
+from geort_drake.simulation.task import Stage, TrialResult
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import HAND, actuated_joints, actuated_state
-from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.versions import version_of
 
 HUMAN = "human"  # key of the person's hand
@@ -59,19 +60,14 @@ _SEEN = " Grey spheres are what the simulated person sees, {delay:.0f} ms late."
 _PACKAGES = {"drake": "drake", "rerun": "rerun-sdk", "numpy": "numpy", "torch": "torch"}
 
 
-def add_grasp_recorder(
+def add_trial_recorder(
     builder: DiagramBuilder,
     stage: Stage,
     path: str | os.PathLike,
     scenario: Scenario,
     description: HandDescription,
     seen: Mapping[str, OutputPort],
-    source: LeafSystem,
     hand_source: LeafSystem,
-    retargeting: RetargetingSystem,
-    correction: LeafSystem,
-    wrist_to_arm: Diagram,
-    X_WHand: RigidTransform,
     properties: Mapping[str, str | int | float | bool],
 ) -> RerunRecorder:
     """Adds a recorder of robot, object, human hand, contact forces, joint signals and phases.
@@ -79,14 +75,13 @@ def add_grasp_recorder(
     Args:
         stage: the task's stage.
         seen: name → delayed port that the operator reads; empty for a replay.
-        source: the operator or the replay.
         hand_source: provides keypoints and wrist pose of the hand that is drawn.
-        correction: the system that commands the hand.
-        wrist_to_arm: the system that commands the arm.
-        X_WHand: pose of the tracker's frame in W, to draw the human hand next to the robot's.
         properties: properties of the recording besides hand, object, delays and software versions.
     """
     plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
+    system = builder.GetSubsystemByName
+    glove = "worn_glove" if builder.HasSubsystemNamed("worn_glove") else "glove_replay"
+    source = system("operator" if seen else glove)
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
     hand_joints = [joint.name() for joint in actuated_joints(plant, hand)]
     names = {
@@ -95,8 +90,8 @@ def add_grasp_recorder(
     }
     models = {"joints": hand, "arm": arm}
     commanded = {
-        "joints": correction.GetOutputPort("desired_state"),
-        "arm": wrist_to_arm.GetOutputPort("arm_desired_state"),
+        "joints": system("action_correction").GetOutputPort("desired_state"),
+        "arm": system("wrist_to_arm").GetOutputPort("arm_desired_state"),
     }
     measured = {key: actuated_state(builder, plant, model) for key, model in models.items()}
     parts = HandInPlant(plant, description, hand)
@@ -120,19 +115,19 @@ def add_grasp_recorder(
         specs[key] = SignalSpec(port, entries, title=key, unit=unit, page=_FINGERS)
     for name, (port, labels) in stage.states.items():
         specs[name] = StateSpec(port, labels)
-    is_operator = bool(seen)
-    if is_operator:
-        phases = source.phases  # type: ignore[attr-defined]
-        specs["operator"] = StateSpec(source.GetOutputPort("phase"), phases)
+    if seen:
+        specs["operator"] = StateSpec(source.GetOutputPort("phase"), source.phases)
     links = dict(zip(fingers, parts.finger_links(), strict=True))
+    base = plant.GetFrameByName(description.base_frame, hand)
+    X_WB = base.CalcPoseInWorld(plant.CreateDefaultContext())
     specs[HUMAN] = HandSpec(
         hand_source.GetOutputPort("keypoints"),
         hand_source.GetOutputPort("wrist_pose"),
         # The operator's hand is never lost.
-        None if is_operator else source.GetOutputPort("valid"),
-        X_WO=X_WHand,
+        None if seen else source.GetOutputPort("valid"),
+        # Drawn next to the robot's, towards the camera.
+        X_WO=RigidTransform(X_WB.translation() + [-0.05, -0.42, -0.10]),
     )
-    base = plant.GetFrameByName(description.base_frame, hand)
     # Translucent and slightly larger than the fingertips, which are inside while they follow.
     specs["fingertips/commanded"] = PointsSpec(
         commanded["joints"],
@@ -162,11 +157,11 @@ def add_grasp_recorder(
         close_ups=_close_ups(plant, description, stage.bodies, fingertips),
         # From the thumb's side, where nothing hides what the hand holds.
         view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
-        text=trial_text(scenario, properties, "unknown: the trial did not end"),
+        text=_text(scenario, properties, "unknown: the trial did not end"),
         properties={
             "hand": description.name,
             "object": find_task(scenario.task).case_of(scenario),
-            "retargeting_delay_ms": 1e3 * retargeting.delay,
+            "retargeting_delay_ms": 1e3 * system("retargeting").delay,
             "visual_delay_ms": 1e3 * scenario.operator.visual_delay,
             "geort_drake": __version__,
             **{name: version_of(package) for name, package in _PACKAGES.items()},
@@ -175,7 +170,24 @@ def add_grasp_recorder(
     )
 
 
-def trial_text(scenario: Scenario, properties: Mapping[str, object], outcome: str) -> str:
+def describe_result(
+    recorder: RerunRecorder, scenario: Scenario, properties: Mapping[str, object], result: TrialResult
+) -> None:
+    """Adds the outcome to a trial's recording, and writes its samples as a table for exports."""
+    when = result.completion_time if result.success else result.simulated_time
+    outcome = f"{result.outcome}, {when:.1f} s after the start"
+    method = f", {properties['method']}" if "method" in properties else ""
+    recorder.set_properties({"outcome": result.outcome})
+    recorder.describe(
+        f"{result.object} {scenario.random_seed}{method}: {result.outcome}",
+        _text(scenario, properties, outcome),
+    )
+    if recorder.path is not None:
+        with atomic_path(recorder.path.with_suffix(".parquet")) as draft:
+            pq.write_table(recorder.table(), draft)
+
+
+def _text(scenario: Scenario, properties: Mapping[str, object], outcome: str) -> str:
     """Returns the Markdown of the panel that says what a trial's recording shows.
 
     Args:

@@ -15,7 +15,7 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.resources import models_dir, object_names
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.worn_glove import WornGloveConfig
-from geort_drake.systems.action_correction import CorrectionConfig
+from geort_drake.systems.corrections import CorrectionConfig
 from geort_drake.systems.wrist_to_arm import WristToArmConfig
 
 

@@ -12,10 +12,9 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geort_drake.simulation.judge import Judgement, Observation, Outcome
 from geort_drake.simulation.person.handling import PLACE, Placing
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Handled, Site, Task
+from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
 from geort_drake.simulation.world import add_placed_object
 from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
 

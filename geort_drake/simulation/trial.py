@@ -4,12 +4,11 @@ import gc
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
-from geort_drake.files import atomic_path
 from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
@@ -17,15 +16,11 @@ from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
-from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario, dump_scenario, parse_scenario
-from geort_drake.simulation.task import TrialResult
+from geort_drake.simulation.task import Outcome, TrialResult
 from geort_drake.simulation.tasks import find_task
-
-if TYPE_CHECKING:
-    from geort_drake.rerun import RerunRecorder
 
 _REPORT_PERIOD = 0.25  # simulated s
 # Fields of a scenario on which plans depend.
@@ -170,32 +165,13 @@ def run_trial(
             "outcome": result.outcome,
         }
         if parts.recorder is not None:
-            _describe(parts.recorder, scenario, properties, result)
+            from geort_drake.simulation.recording import describe_result
+
+            describe_result(parts.recorder, scenario, properties, result)
         return result, parts.glove_recorder.recording(metadata)
     finally:
         if parts.recorder is not None:
             parts.recorder.close()
-
-
-def _describe(
-    recorder: "RerunRecorder", scenario: Scenario, properties: Mapping[str, object], result: TrialResult
-) -> None:
-    """Adds the outcome to a trial's recording, and writes its samples as a table for exports."""
-    import pyarrow.parquet as pq
-
-    from geort_drake.simulation.recording import trial_text
-
-    when = result.completion_time if result.success else result.simulated_time
-    outcome = f"{result.outcome}, {when:.1f} s after the start"
-    method = f", {properties['method']}" if "method" in properties else ""
-    recorder.set_properties({"outcome": result.outcome})
-    recorder.describe(
-        f"{result.object} {scenario.random_seed}{method}: {result.outcome}",
-        trial_text(scenario, properties, outcome),
-    )
-    if recorder.path is not None:
-        with atomic_path(recorder.path.with_suffix(".parquet")) as draft:
-            pq.write_table(recorder.table(), draft)
 
 
 def _result(

@@ -13,7 +13,13 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 from geort_drake.errors import GeortError, HandError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.systems.glove_checks import GLOVE_FIELDS, GloveChecks, find_fault
-from geort_drake.systems.joint_limits import DEFAULT_SPEED, JointLimits, actuated_joints
+from geort_drake.systems.joint_limits import (
+    DEFAULT_SPEED,
+    JointLimits,
+    actuated_joints,
+    check_timing,
+    low_pass_factor,
+)
 from geort_drake.systems.person import PERSON_FIELDS, PersonMap
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import (
@@ -30,7 +36,6 @@ from geort_drake.systems.retargeting_status import (
     TRACKING,
     RetargetingStatus,
 )
-from geort_drake.systems.update_timing import check_timing, low_pass_factor
 
 _ROUNDING = 1e-9  # s; of sums of periods
 _DISTANCE_PERIOD = 0.1  # s, between two computations of the distance from training

@@ -13,8 +13,8 @@ from system_bench import Bench, Watch
 from faults.sound import LOWER, UPPER, play, smooth_retargeter
 from geort_drake import Hand
 from geort_drake.hands.collision import HandClearance
+from geort_drake.systems.corrections import SelfCollisionGuard
 from geort_drake.systems.joint_limits import JointLimits
-from geort_drake.systems.self_collision_guard import SelfCollisionGuard
 
 KEYPOINT = np.arange(21)[:, None]
 # From a frame's keypoints and time, the keypoints before and a generator to what is changed of the frame.

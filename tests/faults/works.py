@@ -20,7 +20,7 @@ from faults.sound import play, smooth_retargeter
 from geort_drake import GloveReplay, Recording
 from geort_drake.cli import run_command
 from geort_drake.people.recording_log import RecordingLog
-from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.glove import GloveRecorder
 
 ROW_ID = "rerun.controls.RowId"
 

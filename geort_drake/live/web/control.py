@@ -20,7 +20,7 @@ from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset
 from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.live.web.watched_trial import WatchedTrial
 from geort_drake.people.recording_log import RecordingLog
-from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.glove import GloveRecorder
 
 _STATE_S = 0.1  # s between two states
 WAITING = "begins when you engage"

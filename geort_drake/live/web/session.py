@@ -29,7 +29,7 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import TrialBuilder
 from geort_drake.simulation.world import ARM, HAND
-from geort_drake.systems.glove_recorder import GloveRecorder
+from geort_drake.systems.glove import GloveRecorder
 
 if TYPE_CHECKING:
     from geort_drake.live.web.server import WebServer

@@ -8,8 +8,8 @@ from pydrake.systems.framework import Context
 from geort_drake.live.teleoperation import phase_of
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.judge import Outcome
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import Outcome
 from geort_drake.simulation.trial import TrialBuilder
 
 

@@ -14,11 +14,10 @@ from pydrake.multibody.plant import CoulombFriction
 from pydrake.multibody.tree import FixedOffsetFrame, PdControllerGains, ScrewJoint, SpatialInertia
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.judge import Judgement, Observation, Outcome
 from geort_drake.simulation.person.cap import CAP
 from geort_drake.simulation.person.goal import Goal, Plan
 from geort_drake.simulation.plan.fingertips import FingerPlanner
-from geort_drake.simulation.task import Handled, Site, Task
+from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
 
 RADIUS, HEIGHT = 0.020, 0.025  # m
 FINGERS = ("thumb", "index", "middle")

@@ -16,11 +16,10 @@ from pydrake.math import RigidTransform
 
 from geort_drake.files import finite_json
 from geort_drake.resources import diagrams_dir, object_names
-from geort_drake.simulation.judge import PERIOD, Judgement, Observation, Outcome
 from geort_drake.simulation.person.goal import Plan
 from geort_drake.simulation.person.handling import GRASP
 from geort_drake.simulation.plan.grasp import GraspPlanner
-from geort_drake.simulation.task import Handled, Site, Task
+from geort_drake.simulation.task import PERIOD, Handled, Judgement, Observation, Outcome, Site, Task
 from geort_drake.simulation.world import add_placed_object
 from geort_drake.systems.port_values import vector_to_pose
 

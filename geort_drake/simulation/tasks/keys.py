@@ -17,12 +17,11 @@ from pydrake.multibody.plant import CoulombFriction
 from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, PrismaticSpring, SpatialInertia
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.judge import Judgement, Observation, Outcome
 from geort_drake.simulation.person.goal import Goal, Plan
 from geort_drake.simulation.person.keys import KEYS
 from geort_drake.simulation.plan.fingertips import FingerPlanner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import Handled, Site, Task
+from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
 
 # Size of a key cap along and across the fingers, and distance between the centres of neighbours, m.
 CAP_LENGTH, CAP_WIDTH, PITCH = 0.040, 0.018, 0.045
