@@ -239,7 +239,7 @@ class Benchmark:
         scenario = copy.deepcopy(self.scenarios[Variant(key.task, key.kind, key.condition)])
         find_task(key.task).choose(scenario, key.object)
         scenario.random_seed, scenario.person = key.seed, key.person
-        if self.settings.measure_latency:
+        if self.settings.measure_latency and not key.condition.startswith("retargeting.latency="):
             scenario.retargeting.latency = self.settings.methods[key.method]["latency_s"]
         return scenario
 
