@@ -94,6 +94,27 @@ def test_a_task_begins_when_the_person_engages(tmp_path, monkeypatch):
     assert loop.phase(context) != "none"
 
 
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (
+            "thrown: touch",
+            "the object fell or was pushed away; until then, only one finger had touched the object",
+        ),
+        ("timeout: reach", "the time was over; until then, no finger had touched the object"),
+        ("lost: carried", "the object fell or was pushed away; until then, the last step was: carried"),
+        ("2 not pressed, 0 with others", "2 not pressed, 0 with others"),
+        ("success", None),
+    ],
+)
+def test_the_page_says_in_words_why_a_trial_failed(tmp_path, monkeypatch, text, reason):
+    page = Page(tmp_path)
+    outcome = Outcome(success=text == "success", over=True, text=text, completion_time=1.0)
+    monkeypatch.setattr(page_control.Teleoperation, "outcome", lambda *_: outcome)
+    page.run()
+    assert json.loads(page.states[-1])["outcome"]["reason"] == reason
+
+
 @pytest.mark.parametrize("task", task_names())
 def test_the_page_shows_how_far_each_task_is(tmp_path, task, monkeypatch):
     if task in ("keys", "cap"):

@@ -362,6 +362,40 @@ def test_the_mouse_moves_a_hand_and_the_state_is_told_without_contradictions(bro
         until(page, lambda words=words: words in page.inner_text("#headline"))
 
 
+def test_a_finger_on_a_touch_screen_moves_a_hand_and_taps_its_grips(browser, stub, address):
+    """A finger that rests on the view does not close the hand; a tap on a grip does, and another opens it."""
+    page = new_page(browser, viewport={"width": 400, "height": 800}, has_touch=True, is_mobile=True)
+    page.add_init_script(path=WEB / NO_PICTURES)
+    stub.attach(page)
+    page.goto(f"{address}/#key")
+    page.wait_for_selector("body[data-state=waiting]")
+    assert page.inner_text("#pointer") == "Use your finger"
+    page.tap("#pointer")
+    page.wait_for_selector("body[data-state=tracking]")
+    box = page.locator("#view").bounding_box()
+    screen = page.context.new_cdp_session(page)
+
+    def touch(kind: str, *shares: tuple[float, float]) -> None:
+        points = [{"x": box["x"] + x * box["width"], "y": box["y"] + y * box["height"]} for x, y in shares]
+        screen.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    touch("touchStart", (0.5, 0.5))
+    touch("touchMove", (0.75, 0.4))
+    until(page, lambda: (seen := stub.of("pointer")) and seen[-1]["x"] > 0.4)
+    last = stub.of("pointer")[-1]
+    assert not last["closed"]
+    assert (last["x"], last["y"]) == (pytest.approx(0.5, abs=0.02), pytest.approx(-0.2, abs=0.02))
+    touch("touchEnd")
+    page.tap("[data-grip=ring]")
+    until(page, lambda: stub.of("pointer")[-1]["closed"])
+    assert stub.of("pointer")[-1]["grip"] == "ring"
+    page.fill("#reach", "0.5")
+    until(page, lambda: stub.of("pointer")[-1]["z"] == 0.5)
+    page.tap("[data-grip=ring]")
+    until(page, lambda: not stub.of("pointer")[-1]["closed"])
+    assert page.evaluate("document.documentElement.scrollWidth") == 400
+
+
 def test_panel_and_keys(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key", NO_PICTURES)
     page.wait_for_selector("body[data-state=waiting]")
@@ -401,8 +435,13 @@ def test_panel_and_keys(browser, stub, address):
     stub.send(scene=3)
     stub.send(scene=3, outcome=outcome | {"seconds": 17.5})
     until(page, lambda: page.inner_text("#best").split("\n") == ["17.5 s (now)", "21.0 s"])
-    stub.send(scene=3, outcome=outcome | {"success": False, "score": 0.4, "seconds": None})
-    until(page, lambda: "40 % of the way" in page.inner_text("#result-words"))
+    failed = {"success": False, "score": 0.4, "seconds": None, "reason": "the object fell"}
+    stub.send(scene=3, outcome=outcome | failed, time=31.0)
+    until(page, lambda: page.inner_text("#result-title") == "Not this time: ended after 31.0 s")
+    assert page.inner_text("#result-words") == "You came 40 % of the way. The object fell."
+    assert page.inner_text("#best").split("\n") == ["17.5 s", "21.0 s"]
+    for button in ("#again", "#watch", "#clip"):
+        assert page.is_enabled(button)
     assert stub.of("record") == [{"type": "record", "keep": True}]
 
     stub.welcome(side="left")

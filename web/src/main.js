@@ -34,7 +34,7 @@ const model = {
   leaving: null,
   hand: UNSEEN,
   best: [],
-  grip: "hand",
+  grip: null,
 };
 if (!document.createElement("canvas").getContext("webgl2")) {
   element("no-webgl").hidden = false;
@@ -43,11 +43,11 @@ if (!document.createElement("canvas").getContext("webgl2")) {
 const view = new View(element("view"));
 let scene = null;
 
-const replay = new Replay(view);
+const replay = new Replay(view, refresh);
 const steady = new Steady(refresh);
 
 function refresh() {
-  const { headline, detail } = show(model, steady);
+  const { headline, detail } = show({ ...model, replaying: replay.running }, steady);
   view.setWords(headline, detail);
 }
 
@@ -151,7 +151,12 @@ const headset = new Headset(
 );
 
 const pointer = new Pointer(element("view"), ({ t, ...fields }) => {
-  model.grip = fields.grip;
+  const { grip, closed, z } = fields;
+  if (model.grip?.name !== grip || model.grip.closed !== closed) {
+    model.grip = { name: grip, closed };
+    refresh();
+  }
+  element("reach").value = z;
   receiveHand(t, fields, { side: model.welcome?.side, score: 1, delay: 0 });
 });
 
@@ -160,7 +165,7 @@ function stopUsing(failure = "") {
   pointer.stop();
   view.controls.enabled = true;
   if (model.hand.usable) receiveHand(performance.now() / 1000, null);
-  Object.assign(model, { device: null, failure, hand: UNSEEN });
+  Object.assign(model, { device: null, failure, hand: UNSEEN, grip: null });
   refresh();
 }
 
@@ -182,6 +187,10 @@ element("pointer").onclick = () =>
     view.controls.enabled = false;
     pointer.start();
   });
+for (const button of document.querySelectorAll("[data-grip]"))
+  button.onclick = () => pointer.toggle(button.dataset.grip);
+element("reach").oninput = ({ target }) => pointer.reach(Number(target.value));
+
 /** The server changes between its simulated person and one's own hand. */
 function setUp() {
   model.leaving = scene;
@@ -260,7 +269,7 @@ for (const button of document.querySelectorAll("[data-view]"))
   };
 element("reset-view").onclick = () => view.look();
 element("again").onclick = () => reset();
-element("watch").onclick = () => replay.play();
+element("watch").onclick = () => (replay.running ? replay.stop() : replay.play());
 element("clip").onclick = async ({ target }) => {
   target.disabled = true;
   const file = await replay.film();

@@ -7,10 +7,11 @@ const STEPS = { grasp: ["reach", "touch", "grasp", "lift", "hold"] };
 const END = { thrown: "Thrown" };
 const DEVICE_WORDS = {
   headset: "The robot is in your headset.",
-  pointer: "The mouse moves the coloured hand.",
   recording: "A recorded hand moves; without one, a synthetic hand at play.",
   simulated: "A simulated person does the task, as in geort-drake grasp.",
 };
+// A screen that only fingers touch, such as a phone's.
+const POINTER = matchMedia("(hover: none)").matches ? "your finger" : "the mouse";
 const HANDS = { allegro: "Allegro", leap: "LEAP" };
 const MOUNTS = { arm: "On an arm", floating: "Floating" };
 const CHOICES = ["hand", "mount", "task-name", "object"];
@@ -24,6 +25,8 @@ export function show(model, steady) {
   body.dataset.state = now.name;
   body.toggleAttribute("data-engaged", Boolean(state?.engaged));
   body.toggleAttribute("data-holding", Boolean(state?.engaged && !state.following));
+  body.dataset.device = device ?? "";
+  body.toggleAttribute("data-replaying", model.replaying);
   body.toggleAttribute("data-recording", Boolean(state?.recording));
   write("connection", !model.connected ? "Connecting" : welcome?.robot === "real" ? "Real robot" : "Simulation");
   write(element("headline").querySelector("strong"), now.headline);
@@ -33,12 +36,17 @@ export function show(model, steady) {
   element("start").hidden = device === "camera";
   element("mirror").hidden = device !== "camera";
   write("start-words", failure || DEVICE_WORDS[device] || element("start").dataset.words);
-  write("pointer", device === "pointer" ? "Stop using the mouse" : "Use the mouse");
+  write("pointer", device === "pointer" ? `Stop using ${POINTER}` : `Use ${POINTER}`);
   write("recording-hand", device === "recording" ? "Stop the recorded hand" : "Play a recorded hand");
   write("simulated", device === "simulated" ? "Stop watching" : "Watch a simulated person");
   element("start").dataset.device = device ?? "";
   element("pointer-words").hidden = device !== "pointer";
-  write("grip", `Now: ${model.grip === "hand" ? "whole hand" : model.grip}.`);
+  element("grips").hidden = device !== "pointer";
+  for (const button of document.querySelectorAll("[data-grip]")) {
+    const chosen = button.dataset.grip === model.grip?.name;
+    button.toggleAttribute("data-chosen", chosen);
+    button.ariaPressed = String(chosen && model.grip.closed);
+  }
   write("camera", device === "camera" ? "Stop the camera" : "Use the camera");
   write("headset", device === "headset" ? "Leave headset" : "Use the headset");
   element("camera").classList.toggle("primary", device === null);
@@ -73,7 +81,7 @@ export function show(model, steady) {
   write("counts", state ? counts(state) : "");
 
   showTask(state);
-  showResult(state, model.best);
+  showResult(state, model.best, model.replaying);
   return now;
 }
 
@@ -129,19 +137,23 @@ function showTask(state) {
   element("phases").replaceChildren(...items);
 }
 
-function showResult(state, times) {
+function showResult(state, times, replaying) {
   const outcome = state?.outcome;
   element("result").hidden = !outcome?.over;
   if (!outcome?.over) return;
-  const { success, seconds, score } = outcome;
+  const { success, seconds, score, reason } = outcome;
   const simulated = state.simulated_person;
   element("result").dataset.outcome = success ? "success" : "failure";
-  write("result-title", success ? `Done in ${seconds.toFixed(1)} s` : "Not this time");
+  write("result-title", success ? `Done in ${seconds.toFixed(1)} s` : `Not this time: ended after ${state.time.toFixed(1)} s`);
   const who = simulated ? "The simulated person" : "You";
-  const words = simulated ? "The simulated person did it. Now you?" : "Your best times here:";
-  write("result-words", success ? words : `${who} came ${Math.round(100 * score)} % of the way.`);
+  const way = `${who} came ${Math.round(100 * score)} % of the way.`;
+  const done = simulated ? "The simulated person did it. Now you?" : "";
+  write("result-words", success ? done : reason ? `${way} ${sentenceCase(reason)}.` : way);
   write("again", simulated ? "Watch another" : "Try again");
-  const items = success && !simulated ? times.map((time) => `${time.toFixed(1)} s${time === seconds ? " (now)" : ""}`) : [];
+  write("watch", replaying ? "Stop the replay" : "Watch the replay");
+  // A simulated person's times are not one's own.
+  const items = simulated ? [] : times.map((time) => `${time.toFixed(1)} s${time === seconds ? " (now)" : ""}`);
+  write("best-words", items.length ? "Your best times here:" : "");
   if (items.join() === Array.from(element("best").children, ({ textContent }) => textContent).join()) return;
   element("best").replaceChildren(
     ...items.map((textContent) => Object.assign(document.createElement("li"), { textContent })),

@@ -4,9 +4,13 @@ const LONGEST_S = 180;
 const GROUND = "#e6ebef"; // behind the robot, as on the page
 
 export class Replay {
-  /** @param {import("./view.js").View} view */
-  constructor(view) {
+  /**
+   * @param {import("./view.js").View} view
+   * @param {() => void} onChange called when a replay begins and ends
+   */
+  constructor(view, onChange) {
     this.view = view;
+    this.onChange = onChange;
     this.clear();
   }
 
@@ -41,13 +45,16 @@ export class Replay {
         if (next > 0) this.view.setPoses(frames[next - 1]);
         if (next >= frames.length) this.stop();
       }, 15);
+      this.onChange();
     });
   }
 
   stop() {
+    if (!this.running) return;
     clearInterval(this.timer);
     this.timer = undefined;
-    this.resolve?.();
+    this.resolve();
+    this.onChange();
   }
 
   /** Returns a film of the attempt, or null where the browser cannot record one. */

@@ -9,6 +9,8 @@
  * @property {string} failure why the device cannot be used, or ""
  * @property {string} refusal of the last message, or ""
  * @property {number | null} leaving number of the scene that a reset ends, until the next one is there
+ * @property {{name: string, closed: boolean} | null} grip of the pointer
+ * @property {boolean} replaying
  * @property {{seen: boolean, side: string, score: number, rate: number, delay: number}} hand as the device sees it
  */
 
@@ -59,7 +61,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
 
 function watched(state, leaving) {
   if (leaving !== null || !state?.simulated_person)
-    return say("waiting", "The simulated person gets ready", "Planning and practice take up to a minute the first time.");
+    return say("waiting", "The simulated person gets ready", "Planning and practice take a minute the first time, and longer on a busy computer.");
   const { over, success } = state.outcome;
   if (over) return say("tracking", success ? "Done" : "Not this time", "Watch another, or move the robot yourself.");
   return say("engaged", "A simulated person moves the robot", state.slow ? SLOW : "The coloured hand is theirs.");

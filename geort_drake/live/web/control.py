@@ -20,6 +20,7 @@ from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset
 from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.live.web.watched_trial import WatchedTrial
 from geort_drake.people.recording_log import RecordingLog
+from geort_drake.simulation.tasks.grasp import explained
 from geort_drake.systems.glove import GloveRecorder
 
 _STATE_S = 0.1  # s between two states
@@ -221,6 +222,7 @@ class PageControl:
             "seconds": outcome.completion_time - self._started if outcome.success else None,
             "over": outcome.over,
             "success": outcome.success,
+            "reason": explained(outcome.text) if outcome.over and not outcome.success else None,
         }
 
     def _delay(self) -> dict[str, Any]:

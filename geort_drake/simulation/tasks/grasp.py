@@ -59,21 +59,32 @@ class GraspSettings:
 
 
 _ENDINGS = {
-    GraspPhase.REACH: "no finger touched the object",
-    GraspPhase.TOUCH: "one finger touched the object",
-    GraspPhase.GRASP: "two fingers or more touched the object and did not lift it",
-    GraspPhase.LIFT: "the object was lifted, but not high enough",
-    GraspPhase.HOLD: "the object was high enough, but not for long enough",
+    GraspPhase.REACH: "no finger had touched the object",
+    GraspPhase.TOUCH: "only one finger had touched the object",
+    GraspPhase.GRASP: "two fingers or more had touched the object, but not lifted it",
+    GraspPhase.LIFT: "the object had been lifted, but not high enough",
+    GraspPhase.HOLD: "the object had been high enough, but not for long enough",
+}
+
+
+_REASONS = {
+    "timeout": "the time was over",
+    "thrown": "the object fell or was pushed away",
+    "lost": "the object fell or was pushed away",
 }
 
 
 def explained(outcome: str) -> str:
-    """Returns in a sentence what an outcome of a grasp such as "timeout: touch" means."""
+    """Returns in a sentence what the outcome of a failed trial such as "timeout: touch" means.
+
+    Of a task without such phases, the sentence names the step that was reached last.
+    """
     ending, _, phase = outcome.partition(": ")
-    if phase.upper() not in GraspPhase.__members__:
+    if ending not in _REASONS:
         return outcome
-    last = _ENDINGS[GraspPhase[phase.upper()]]
-    return f"the object fell or was pushed away; before, {last}" if ending == "thrown" else f"in time, {last}"
+    known = phase.upper() in GraspPhase.__members__
+    last = _ENDINGS[GraspPhase[phase.upper()]] if known else f"the last step was: {phase}"
+    return f"{_REASONS[ending]}; until then, {last}"
 
 
 def judgement(
