@@ -62,6 +62,21 @@ def program(name: str) -> str:
     return f'```python title="{name}"\n{(ROOT / name).read_text("utf-8")}```'
 
 
+def docstring(name: str) -> str:
+    """The docstring of a module, or of a function of it, such as "people.formats.read_openxr".
+
+    The title of a module is left out, because the page has one.
+    """
+    path = PACKAGE / f"{name.replace('.', '/')}.py"
+    if path.is_file():
+        text = ast.get_docstring(ast.parse(path.read_text("utf-8"))) or ""
+        return text.partition("\n\n")[2]
+    path, _, function = name.rpartition(".")
+    tree = ast.parse((PACKAGE / f"{path.replace('.', '/')}.py").read_text("utf-8"))
+    (node,) = (item for item in tree.body if isinstance(item, ast.FunctionDef) and item.name == function)
+    return ast.get_docstring(node) or ""
+
+
 def fields_table(name: str) -> str:
     """A Markdown table of a dataclass's fields."""
     table = ["| field | default | meaning |", "|---|---|---|"]
