@@ -53,6 +53,16 @@ def test_a_shipped_map_runs_with_numpy_and_safetensors_alone(name, bare_python, 
     subprocess.run([bare_python, "-c", PROGRAM, name], cwd=tmp_path, check=True, env={})
 
 
+@pytest.mark.parametrize("words", [["--help"], ["grasp"], ["recording", "check", "hand.npz"]])
+def test_a_command_without_its_packages_says_what_to_install(words, bare_python):
+    program = "import sys; from geort_drake.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [bare_python, "-c", program, *words]
+    done = subprocess.run(command, check=False, env={}, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "is not installed" in done.stderr and "pip install geort-drake" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 @pytest.mark.parametrize(
     ("package", "remedy"), [("torch", "geort-drake[train]"), ("zmq", "geort-drake[live]")]
 )

@@ -60,6 +60,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:  # while modules are imported; later `exit_code_of` handles it
         print("interrupted", file=sys.stderr)
         return 130
+    except ModuleNotFoundError as error:  # where the package was installed without its dependencies
+        package = (error.name or "geort_drake").partition(".")[0]
+        if package == "geort_drake":
+            raise
+        print(
+            f"error: the package '{package}' is not installed; commands need all dependencies:"
+            " pip install geort-drake. A map in a program needs NumPy and safetensors alone.",
+            file=sys.stderr,
+        )
+        return 2
 
 
 def _run(words: list[str]) -> int:
