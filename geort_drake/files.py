@@ -31,7 +31,8 @@ def writing(target: str | os.PathLike) -> Iterator[None]:
     except OSError as error:
         if error.errno not in _UNWRITABLE:
             raise
-        raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
+        reason = "no program reads it" if error.errno == errno.ENXIO else error.strerror
+        raise OutputError(f"{target}: cannot be written: {reason}") from error
 
 
 @contextlib.contextmanager
