@@ -22,7 +22,6 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.settings import require_numbers
-from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.person.engine import KINDS, Person, Phase
 from geort_drake.simulation.person.goal import Goal, Plan
 from geort_drake.simulation.person.handling import Placing
@@ -209,7 +208,7 @@ class Handled:
         states: names of the states that `Outcome.phase` counts.
         parts: other bodies that count as parts of the body.
         joints: joints for the judge's input port `joints`; and the names and unit of their positions.
-        shape, placement: of a free body, which falls.
+        placement: of a free body, which falls.
         shows: see `Judge`.
     """
 
@@ -219,7 +218,6 @@ class Handled:
     parts: Sequence[RigidBody] = ()
     joints: Sequence[Joint] = ()
     positions: tuple[Sequence[str], str] = ((), "")
-    shape: ObjectShape | None = None
     placement: Placement | None = None
     shows: Mapping[str, Callable[[Outcome], Sequence[float] | np.ndarray]] = dc.field(default_factory=dict)
 
@@ -364,9 +362,7 @@ class Task:
             goal = self.plans(scenario, description)[0]
         handled = self.add(Site(plant, scene_graph, scenario, description, goal, X_WB, settings, rng))
         body = handled.body
-        scene = finish_scene(
-            plant, scene_graph, scenario, description, body, handled.shape, handled.placement
-        )
+        scene = finish_scene(plant, scene_graph, scenario, description, body, handled.placement)
         inspector = scene_graph.model_inspector()
         parts = [part.index() for part in handled.parts]
         view = builder.AddNamedSystem(

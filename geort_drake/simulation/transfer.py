@@ -142,7 +142,6 @@ class Transfer(NamedTuple):
             body,
             judgement(self.steps, X_WP, shape.lowest_point),
             ["reach", *self.steps],
-            shape=shape,
             placement=placement,
             shows={"place_pose": lambda outcome: place},
         )

@@ -46,7 +46,7 @@ class Scene:
         arm, hand: models whose joints the plant's PD controllers drive.
         body: the body that the hand handles.
         fixed_base: whether the arm keeps its position.
-        shape, placement: of a free body; `initialize` applies the mass factor.
+        placement: of a free body; `initialize` applies the mass factor.
     """
 
     plant: MultibodyPlant
@@ -55,7 +55,6 @@ class Scene:
     hand: ModelInstanceIndex
     body: RigidBody
     fixed_base: bool
-    shape: ObjectShape | None = None
     placement: Placement | None = None
 
     def initialize(self, root: Context) -> None:
@@ -80,8 +79,8 @@ def add_scene(
     """
     plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
     add_robot(plant, scenario, description)
-    placed = add_placed_object(plant, scene_graph, scenario, description, rng)
-    return finish_scene(plant, scene_graph, scenario, description, *placed)
+    body, _, placement = add_placed_object(plant, scene_graph, scenario, description, rng)
+    return finish_scene(plant, scene_graph, scenario, description, body, placement)
 
 
 def add_placed_object(
@@ -112,7 +111,6 @@ def finish_scene(
     scenario: Scenario,
     description: HandDescription,
     body: RigidBody,
-    shape: ObjectShape | None = None,
     placement: Placement | None = None,
 ) -> Scene:
     """Finalizes a plant with the scenario's robot; gravity acts on a body with a placement only.
@@ -131,7 +129,7 @@ def finish_scene(
     plant.Finalize()
     _require_controllers(plant, hand, f"hand '{description.name}'")
     _require_controllers(plant, arm, "the arm")
-    return Scene(plant, scene_graph, arm, hand, body, scenario.fixed_base, shape, placement)
+    return Scene(plant, scene_graph, arm, hand, body, scenario.fixed_base, placement)
 
 
 def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:

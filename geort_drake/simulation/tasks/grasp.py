@@ -204,7 +204,7 @@ def _add(site: Site) -> Handled:
     support = site.scenario.object.support_height
     judge = judgement(site.settings, links, tip_links, shape.lowest_point, support)
     states = [phase.name.lower() for phase in GraspPhase]
-    return Handled(body, judge, states, shape=shape, placement=placement)
+    return Handled(body, judge, states, placement=placement)
 
 
 TASK = Task(
