@@ -244,6 +244,25 @@ def test_unusable_values_are_named(old, new, message, tmp_path):
         propose(write_urdf(tmp_path, leader="mcp", changes={old: new}))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name="ring_mcp" axis="0 1 0" range="-0.6 1.4"', 'name="ring_mcp" axis="0 1 0" range="1.4 -0.6"',
+         r"joint 'ring_mcp' has the ends of its range swapped: 1.4 is above -0.6"),
+        ("</mujoco>", '<actuator><position name="a" joint="ring_mcp" ctrlrange="1 0"/></actuator></mujoco>',
+         r"actuator 'a' has the ends of its ctrlrange swapped"),
+    ],
+)  # fmt: skip
+def test_swapped_ends_of_a_range_in_mjcf_are_named(old, new, message, tmp_path):
+    """MuJoCo takes such a range for none, so that the joint would be held."""
+    path = write_mjcf(tmp_path)
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(HandError, match=message):
+        propose(path)
+
+
 def test_a_tip_far_from_its_finger_is_found(tmp_path):
     """Collision geometry beside the finger, as of a mesh that was exported in another frame."""
     assert "the tip of" not in "\n".join(examine(Hand(propose(write_mjcf(tmp_path))[0])))

@@ -66,7 +66,7 @@ def compile_mjcf(path: Path) -> "tuple[mujoco.MjModel, list[Path]]":
     """Compiles a model; returns it, and the mesh files that it uses.
 
     Raises:
-        HandError: the model is invalid.
+        HandError: the model is invalid, or the ends of a range are swapped, which MuJoCo takes for no range.
         ModuleNotFoundError: MuJoCo is not installed.
     """
     import mujoco  # an extra
@@ -80,6 +80,18 @@ def compile_mjcf(path: Path) -> "tuple[mujoco.MjModel, list[Path]]":
         model = spec.compile()
     except ValueError as error:
         raise HandError(f"model {path}: {error}") from error
+    for kind, ranges in {
+        "joint": ("jnt_range", "jnt_actfrcrange"),
+        "tendon": ("tendon_range", "tendon_actfrcrange"),
+        "actuator": ("actuator_ctrlrange", "actuator_forcerange"),
+    }.items():
+        for name in ranges:
+            for number, (low, high) in enumerate(getattr(model, name)):
+                if low > high:
+                    raise HandError(
+                        f"model {path}: {kind} '{name_of(model, kind, number)}' has the ends of its "
+                        f"{name.partition('_')[2]} swapped: {low:g} is above {high:g}"
+                    )
     folder = path.resolve().parent / spec.meshdir
     return model, [folder / mesh.file for mesh in spec.meshes if mesh.file]
 
