@@ -19,6 +19,12 @@ _OFFSETS = (0.014, 0.017, 0.02)
 _MAX_STEP = 0.04
 # Least distance of a contact from the edges of its surface, m.
 _EDGE = 0.003
+# At an object whose sides end below the usual height of the fingertips, these come nearer to its support by one
+# of these lengths, m, and touch its upper edge, above which their centres may be by `_ABOVE_EDGE`, m. With the
+# tolerance of inverse kinematics, 1 mm, a tip of 12 mm touches the edge at up to 12° from the horizontal squeeze;
+# the smallest friction between tip and object, of μ = 0.45, allows 24°.
+_LOWER = (0.0015, 0.001)
+_ABOVE_EDGE = 0.0015
 
 
 @dc.dataclass(frozen=True)
@@ -153,8 +159,9 @@ def contact_heights(
 ) -> list[float]:
     """Returns heights of the grip to try, best first, as fractions of the object's height.
 
-    Just above the middle is best, because the object then hangs from its contacts. `lowest` is the least
-    height of a contact above the object's bottom, m; for `spacing` see `grip_contacts`.
+    Just above the middle is best, because the object then hangs from its contacts. If the fingertips do not
+    reach so low, they touch the upper edge, and the fraction may be above 1. `lowest` is the least height of
+    a fingertip's centre above the object's bottom, m; for `spacing` see `grip_contacts`.
     """
     main, X_OG = shape.main
     if isinstance(main, Sphere | Ellipsoid):
@@ -170,7 +177,10 @@ def contact_heights(
         on_main = z + max(raised) <= centre + half - _EDGE and z + min(raised) >= centre - half + _EDGE
         if on_main and z + min(raised) - bottom >= lowest:
             fitting.append(share)
-    return fitting
+    if fitting or isinstance(main, Sphere | Ellipsoid) or GRIPS[grip].palm:
+        return fitting
+    above_edges = [(lowest - lower, bottom + lowest - lower - (centre + half)) for lower in _LOWER]
+    return [z / (top - bottom) for z, above in above_edges if -_EDGE < above <= _ABOVE_EDGE]
 
 
 def finger_offsets(shape: ObjectShape, grip: str) -> tuple[float, ...]:

@@ -72,6 +72,8 @@ class GraspPlanner:
         self._description = description
         self._scenario = scenario
         grasping = [finger for finger in description.fingers if finger.name in GRIPS[self._grip].fingers]
+        # Least height of a fingertip's centre above the object's support, m.
+        self._lowest = max(finger.tip_radius for finger in description.fingers) + _TIP_GAP
         self._fewest_joints = min(len(finger.joints) for finger in grasping)
         self._kinematics = GraspKinematics(scenario, description, list(GRIPS[self._grip].fingers))
         robot = self._kinematics
@@ -99,9 +101,16 @@ class GraspPlanner:
             return [goal for _, goals in sorted(found, key=itemgetter(0)) for goal in goals]
         if self._grip in _FALLBACK_GRIPS and self._tip_height is None:
             return GraspPlanner(self._scenario, self._description, _FALLBACK_GRIPS[self._grip]).plans(enough)
+        reason = f"no collision-free {self._grip} grasp was found"
+        if self._tip_height is None and not contact_heights(robot.shape, self._grip, self._lowest):
+            bottom, top = vertical_extent(robot.shape)
+            reason = (
+                f"it is {1e3 * (top - bottom):.1f} mm high, too low for fingertips whose centres stay "
+                f"{1e3 * self._lowest:.1f} mm above its support"
+            )
         raise ScenarioError(
             f"the robot cannot grasp object '{self._scenario.object.name}' at "
-            f"{self._scenario.object.position}: no collision-free {self._grip} grasp was found"
+            f"{self._scenario.object.position}: {reason}"
         )
 
     def _search(
@@ -186,11 +195,10 @@ class GraspPlanner:
         """
         robot, side = self._kinematics, self._description.side
         shape = robot.shape
-        lowest = max(finger.tip_radius for finger in self._description.fingers) + _TIP_GAP
-        heights = contact_heights(shape, self._grip, lowest, spacing)
+        heights = contact_heights(shape, self._grip, self._lowest, spacing)
         if self._tip_height is not None:
             bottom, top = vertical_extent(shape)
-            heights = [self._tip_height / (top - bottom)] if self._tip_height > lowest - 1e-9 else []
+            heights = [self._tip_height / (top - bottom)] if self._tip_height > self._lowest - 1e-9 else []
         candidates = []
         for step, height in enumerate(heights):
             for yaw in yaw_candidates(shape)[0]:
