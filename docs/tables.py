@@ -192,16 +192,18 @@ def objects_table() -> str:
     from geort_drake.simulation.plan.contacts import grip_of
     from geort_drake.simulation.world import add_object
 
-    rows = ["| object | grip | size, mm | mass, kg |", "|---|---|---|---|"]
+    rows = ["| object | grip | size, mm | mass, kg | friction |", "|---|---|---|---|---|"]
     for name in object_names():
         plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
-        body = add_object(plant, name)
-        shape, extents = object_shape(plant, scene_graph.model_inspector(), body), []
+        body, inspector = add_object(plant, name), scene_graph.model_inspector()
+        solid = inspector.GetProximityProperties(plant.GetCollisionGeometriesForBody(body)[0])
+        friction = solid.GetProperty("material", "coulomb_friction").static_friction()
+        shape, extents = object_shape(plant, inspector, body), []
         for axis in np.eye(3):
             ups = (RotationMatrix.MakeFromOneVector(up, 2) for up in (axis, -axis))
             extents.append(-sum(shape.lowest_point(RigidTransform(R.inverse())) for R in ups))
-        size = " × ".join(f"{1e3 * extent:.0f}" for extent in extents)
-        rows.append(f"| `{name}` | {grip_of(name)} | {size} | {body.default_mass():g} |")
+        size = " × ".join(f"{1e3 * extent:.3g}" for extent in extents)
+        rows.append(f"| `{name}` | {grip_of(name)} | {size} | {body.default_mass():g} | {friction:g} |")
     return "\n".join(rows)
 
 

@@ -36,6 +36,9 @@ from geort_drake.simulation.scenario import object_file
 from geort_drake.simulation.world import HAND, add_object, add_robot
 
 TIP_RADIUS = 0.012
+# Least height of a fingertip's centre above the support, m, as the planner has it.
+LOWEST = TIP_RADIUS + 0.002
+SMALL = ("battery_aa", "die", "nut_m8", "pen")
 
 
 class ObjectAlone(Scene):
@@ -61,7 +64,7 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
     """At every candidate, a fingertip at its contact touches the object within 2 mm."""
     thing, grip = ObjectAlone(name), grip_of(name)
     yaws, _ = yaw_candidates(thing.shape)
-    heights = contact_heights(thing.shape, grip, TIP_RADIUS)
+    heights = contact_heights(thing.shape, grip, LOWEST)
     assert heights and yaws
     bottom, _ = vertical_extent(thing.shape)
     for height, yaw, offset in itertools.product(heights, yaws, finger_offsets(thing.shape, grip)):
@@ -97,7 +100,16 @@ def test_every_object_has_a_grip_and_one_unlisted_or_out_of_reach_is_refused_by_
         GraspPlanner(scenario, allegro().description).plans(2)[0]
 
 
-@pytest.mark.parametrize("name", ["cylinder", "block_tiny", "can_heavy"])
+def test_an_object_too_low_for_a_hands_fingertips_is_refused_before_the_trial():
+    """Spheres of Ø 36 mm have their centres at least 6.5 mm above the upper edge of the die."""
+    description = load_hand("allegro_right")
+    for finger in description.fingers:
+        finger.tip_radius = 0.018
+    with pytest.raises(ScenarioError, match=r"'die' .*: it is 12\.0 mm high, too low for .* 20\.0 mm above"):
+        GraspPlanner(scenario_with("die"), description).plans(2)
+
+
+@pytest.mark.parametrize("name", ["cylinder", "block_tiny", "can_heavy", *SMALL])
 def test_a_planned_grasp_touches_and_nothing_collides(name):
     """In the planned posture, in a plant without collision filters, only fingertips meet the object."""
     scenario, description = scenario_with(name), load_hand("allegro_right")

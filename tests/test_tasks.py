@@ -348,3 +348,11 @@ def test_every_task_has_a_scripted_robot_and_that_of_the_grasp_holds_the_object(
     robots = {name: importlib.import_module(f"scripted.{name}") for name in task_names()}
     assert all(callable(robot.plans) and callable(robot.scripted) for robot in robots.values())
     assert robots["grasp"].scripted(scenario_with("cylinder"), planned_goal("cylinder"), 0) == 1.0
+
+
+@pytest.mark.parametrize("name", ["battery_aa", "die", "nut_m8", "pen"])
+def test_the_scripted_robot_holds_small_objects(name, monkeypatch):
+    """Between two fingertips, with the friction of their materials; `studies/gates.py` runs more seeds."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "studies")
+    robot = importlib.import_module("scripted.grasp")
+    assert robot.scripted(scenario_with(name), planned_goal(name), 0) == 1.0
