@@ -19,10 +19,10 @@ _OFFSETS = (0.014, 0.017, 0.02)
 _MAX_STEP = 0.04
 # Least distance of a contact from the edges of its surface, m.
 _EDGE = 0.003
-# At an object whose sides end below the usual height of the fingertips, these come nearer to its support by one
-# of these lengths, m, and touch its upper edge, above which their centres may be by `_ABOVE_EDGE`, m. With the
-# tolerance of inverse kinematics, 1 mm, a tip of 12 mm touches the edge at up to 12° from the horizontal squeeze;
-# the smallest friction between tip and object, of μ = 0.45, allows 24°.
+# At an object whose sides end below the usual height of the fingertips, these come nearer to its support by
+# one of these lengths, m, and touch its upper edge; their centres may be `_ABOVE_EDGE`, m, above it. With
+# the tolerance of inverse kinematics, 1 mm, a tip of 12 mm touches the edge at up to 12° from the horizontal
+# squeeze; the smallest friction between tip and object, of μ = 0.45, allows 24°.
 _LOWER = (0.0015, 0.001)
 _ABOVE_EDGE = 0.0015
 
