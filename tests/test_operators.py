@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 from collections import deque
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,6 +24,12 @@ QUIET = dict.fromkeys(
 )
 # Fingers bend their last joint by two thirds of the one before; the thumb bends both alike.
 COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
+
+
+@cache
+def own_play() -> np.ndarray:
+    """Fingertips (T, 4, 3), m, of half a minute of the person's free play."""
+    return synthesize_play(0, duration_s=30, rate_hz=30).fingertips([4, 8, 12, 16])
 
 
 class StandInWorld:
@@ -91,7 +98,7 @@ class PinchWorld(StandInWorld):
 
     def __init__(self, gap: float, config: OperatorConfig):
         super().__init__(1.0, config)
-        play = synthesize_play(0, duration_s=30, rate_hz=30, hand=self.hand).fingertips([4, 8])
+        play = own_play()[:, :2]
         apart = np.linalg.norm(play[:, 1] - play[:, 0], axis=1)
         pinch = int(apart.argmin())
         thumb, index = play[pinch]
@@ -115,11 +122,17 @@ class PinchWorld(StandInWorld):
 
 
 def act(
-    gain: float, seed: int = 3, slips: int = 0, kind: str = "servo", phases: tuple = GRASP, **changes: float
+    gain: float,
+    seed: int = 3,
+    slips: int = 0,
+    kind: str = "servo",
+    phases: tuple = GRASP,
+    duration: float = 30.0,
+    **changes: float,
 ) -> SimpleNamespace:
     """Lets a person grasp in the stand-in world."""
     config = dc.replace(OperatorConfig(), **changes)
-    return act_in(StandInWorld(gain, config, slips), seed, kind, phases)
+    return act_in(StandInWorld(gain, config, slips), seed, kind, phases, duration)
 
 
 def act_in(
@@ -130,7 +143,7 @@ def act_in(
     The visited phases leave out that fingers which missed their places gather and close again.
     """
     config = world.config
-    own = synthesize_play(0, duration_s=30, rate_hz=30, hand=world.hand).fingertips([4, 8, 12, 16])
+    own = own_play()
     goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
     placing = Placing(hover=0.02, upright=False)
     person = Person(world.hand, goal, phases, kind, config, placing, np.random.default_rng(seed))
@@ -232,7 +245,7 @@ def test_a_map_with_a_gap_in_the_pinch_cannot_hold_what_is_thinner(kind, monkeyp
 STRAIGHT = ["reach", "approach", "surround", "close", "squeeze", "lift", "hold"]
 
 
-@pytest.mark.parametrize("gain", [0.5, 0.7, 1.5, 2.5, 3.0])
+@pytest.mark.parametrize("gain", [0.5, 1.5, 3.0])
 def test_the_person_grasps_through_maps_of_different_gain(gain):
     """Reach, approach, surround, close, squeeze, lift, hold: without knowing the gain, at first try.
 
@@ -281,8 +294,9 @@ def test_the_grasp_also_holds_in_a_noisier_scene(factor):
 
 def test_one_seed_gives_one_session_and_another_gives_another():
     """All noise comes from the generator, and all chance is noise."""
-    first, again, other = act(1.2, seed=5), act(1.2, seed=5), act(1.2, seed=6)
-    np.testing.assert_array_equal(act(1.2, seed=5, **QUIET).theta, act(1.2, seed=6, **QUIET).theta)
+    first, again, other = (act(1.2, seed=seed, duration=4.0) for seed in (5, 5, 6))
+    quiet, silent = (act(1.2, seed=seed, duration=4.0, **QUIET) for seed in (5, 6))
+    np.testing.assert_array_equal(quiet.theta, silent.theta)
     np.testing.assert_array_equal(first.theta, again.theta)
     np.testing.assert_array_equal(first.wrist, again.wrist)
     count = min(len(first.theta), len(other.theta))
