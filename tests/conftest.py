@@ -3,12 +3,15 @@
 import dataclasses
 import functools
 import gc
+import os
 import shutil
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pydrake.common.deprecation  # noqa: F401  (registers its warning class for the filters)
 import pytest
+from shared import FOLDER, shared
 
 GLOVE_DIR = Path(__file__).resolve().parents[2] / "shared" / "glove"
 
@@ -16,6 +19,13 @@ GLOVE_DIR = Path(__file__).resolve().parents[2] / "shared" / "glove"
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--training-seed", type=int, default=0, help="seed of the tests that train")
     parser.addoption("--training-margin", type=float, default=1.0, help="margin of what trainings must reach")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Makes the folder of results that the processes of this run share."""
+    if not hasattr(config, "workerinput"):
+        os.environ[FOLDER] = tempfile.mkdtemp(prefix="geort-drake-tests-")
+        config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(FOLDER), ignore_errors=True))
 
 
 @pytest.fixture
@@ -71,12 +81,18 @@ def manus_npz() -> Path:
     return _recording_file("manus_right_subject-000_run-010.npz")
 
 
+@shared
+def synthesized(seed: int, duration_s: float, rate_hz: float):
+    """Synthetic play, a `Recording`."""
+    from geort_drake.people.synthetic.play import synthesize_play
+
+    return synthesize_play(seed, duration_s, rate_hz)
+
+
 @pytest.fixture(scope="session")
 def play():
     """A minute of synthetic play at 30 Hz, a `Recording`."""
-    from geort_drake.people.synthetic.play import synthesize_play
-
-    return synthesize_play(0, duration_s=60.0, rate_hz=30.0)
+    return synthesized(0, 60.0, 30.0)
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +118,7 @@ def _lighten(patch: pytest.MonkeyPatch, cache: Path) -> None:
 
     patch.setenv("XDG_CACHE_HOME", str(cache))
     patch.setattr(evaluation, "ROBOT_SAMPLES", 500)
+    patch.setattr(evaluation, "ENGAGEMENTS", 2)
     for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
         patch.setattr(evaluation, name, functools.partial(getattr(evaluation, name), anchors=30))
     patch.setattr(evaluation, "context_averaged", functools.partial(evaluation.context_averaged, contexts=2))

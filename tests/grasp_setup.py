@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
+from shared import shared
 
 from geort_drake import Hand, Recording, load_scenario, run_trial, synthesize_play
 from geort_drake.hands.description import HandDescription
@@ -35,7 +36,7 @@ def allegro() -> Hand:
     return Hand("allegro_right")
 
 
-@cache
+@shared
 def play() -> Recording:
     """A minute of synthetic play."""
     return synthesize_play(seed=0, duration_s=60)
@@ -55,11 +56,11 @@ def centred_map(hand: Hand | None = None) -> AffineIK:
     return retarget
 
 
-# Found here, before any test replaces it: a goal is cached for all tests of the process.
+# Found here, before any test replaces it: a goal is cached for all tests.
 SEARCH = GraspPlanner.plans
 
 
-@cache
+@shared
 def planned_goal(object_name: str) -> GraspGoal:
     """The planned grasp of an object in the shipped scenario, whatever stands in for the planner."""
     return SEARCH(GraspPlanner(scenario_with(object_name), allegro().description), 2)[0]
@@ -151,23 +152,23 @@ def outcome_of(judgement: Judgement, until: float, begins: float = 0.0, **inputs
     return outcome
 
 
-@cache
+@shared
 def plans(task: str) -> list:
     """A finger task's plans for the Allegro hand, the best first."""
     return find_task(task).plan(load_scenario(task=task), allegro().description)
 
 
-def plan_once(patch, task: str) -> None:
-    """Lets a finger task's stages find those plans without a search; other tasks plan as usual."""
-    goals_of_task, search = [plan.goal for plan in plans(task)], Task.plans
+def plan_once(patch, *tasks: str) -> None:
+    """Lets these tasks' stages find the goals for the Allegro hand without a search; others plan as usual."""
+    of_tasks, search = {task: goals(task) for task in tasks}, Task.plans
 
     def plans_of(each: Task, scenario: Scenario, description: HandDescription) -> list:
-        return goals_of_task if each.name == task else search(each, scenario, description)
+        return of_tasks[each.name] if each.name in of_tasks else search(each, scenario, description)
 
     patch.setattr(Task, "plans", plans_of)
 
 
-@cache
+@shared
 def goals(task: str) -> list:
     """A task's goals for the Allegro hand, the best first."""
     if task not in ("pick_place", "peg"):
