@@ -4,6 +4,7 @@
 #             in .venv-lowest and .venv-newest; PYTHON=python3.13 chooses the interpreter.
 # make test-kernels: run the tests that train under each of torch's kernels that this processor has, with three
 #             seeds and a margin of two.
+# make test-trials: run the whole trials that the default run leaves out, see CONTRIBUTING.md.
 # make wheel: build wheel and source distribution into dist/ and check them.
 # make live: build the live web page, which needs Node.js 20; NPM_ARGS= also fetches what its tests need.
 # make tables: write the tables of the docs that come from the code.
@@ -17,7 +18,7 @@ NPM_ARGS ?= --omit=dev
 PIP_ARGS ?= --no-compile
 BIN := $(VENV)/bin
 
-.PHONY: grasp test test-lowest test-newest test-kernels lint wheel live docs tables pictures clean
+.PHONY: grasp test test-lowest test-newest test-kernels test-trials lint wheel live docs tables pictures clean
 
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
@@ -35,6 +36,9 @@ test-newest:
 
 test-kernels: $(VENV)/installed-test
 	$(BIN)/python tests/kernels.py
+
+test-trials:
+	$(MAKE) test ARGS="-m trial $(ARGS)"
 
 live:
 	@command -v npm >/dev/null || { echo "make live needs Node.js 20 or newer, with npm"; exit 1; }

@@ -30,6 +30,7 @@ from geort_drake.hands.importers.proposal import propose
 from geort_drake.retargeting import train as retargeting_train
 from geort_drake.simulation.plan.grasp import GraspPlanner
 
+pytestmark = pytest.mark.usefixtures("light_benchmark")  # no command synthesizes five minutes of play
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 HEAVY = {"rich", "torch", "pydrake", "rerun", "scipy", "matplotlib", "pyarrow", "joblib"}
 

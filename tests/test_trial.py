@@ -85,6 +85,7 @@ def test_the_gloves_recording_played_again_grasps_again(tmp_path):
     np.testing.assert_allclose(glove_again.p_HK[:count], glove.p_HK[:count], atol=1e-6)
 
 
+@pytest.mark.trial
 @pytest.mark.parametrize("name", ["block_tiny", "bottle"])
 def test_objects_are_lifted_by_the_other_grips(name):
     result, _ = lifted(name)

@@ -20,7 +20,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
 from faults.child import run
-from faults.sound import map_file
+from faults.sound import map_file, play
 from geort_drake import load_retargeter
 from geort_drake.cli import run_command
 from geort_drake.resources import models_dir
@@ -301,7 +301,9 @@ def scenario(text: str) -> Make:
     def make(folder: Path) -> tuple:
         path = folder / "bad.scenarios.yaml"
         path.write_bytes(text.encode())
-        return "grasp", "--scenario-file", path, "--scenario-name", "Grasp", "--output", "out"
+        play().save(folder / "hand.npz")
+        options = "--recording", "hand.npz", "--output", "out"
+        return "grasp", "--scenario-file", path, "--scenario-name", "Grasp", *options
 
     return make
 
