@@ -138,10 +138,7 @@ def act(
 def act_in(
     world: StandInWorld, seed: int = 3, kind: str = "servo", phases: tuple = GRASP, duration: float = 30.0
 ) -> SimpleNamespace:
-    """Lets a person grasp to one second into the hold, or grasp and lift to carry, in that world.
-
-    The visited phases leave out that fingers which missed their places gather and close again.
-    """
+    """Lets a person grasp to one second into the hold, or grasp and lift to carry, in that world."""
     config = world.config
     own = own_play()
     goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
@@ -157,8 +154,6 @@ def act_in(
         memory = person.step(memory, step * config.period, seen)
         theta.append(memory.theta)
         wrist.append(memory.X_WH.translation())
-        if (visited[-1], names[memory.phase]) == ("close", "surround"):
-            visited.pop()  # the fingers gather again
         if names[memory.phase] != visited[-1]:
             visited.append(names[memory.phase])
         if visited[-1] == "lift":

@@ -306,7 +306,7 @@ def test_all_numbers_of_the_person_are_those_of_the_published_results():
 
     Results made with others cannot be compared: a change needs new results, and then this digest.
     """
-    frozen = "ec536e931d04ae076c322c1990a7371c0b8bd7751b13c17317b28d63b31234ac"
+    frozen = "d169cefb196c474ef26a6a4f65fef066462c5440f12ba8dac01cdee3ff92dc3d"
     paths = [
         *sorted(Path(person.__file__).parent.glob("*.py")),
         Path(solid.__file__),

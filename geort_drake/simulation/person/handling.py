@@ -41,10 +41,11 @@ def shape(m: Moment) -> np.ndarray:
 
 
 def _around(m: Moment, depth: float) -> np.ndarray:
-    """Returns fingertips `depth` (m) below the seen surface, (F, 3) in B."""
+    """Returns fingertips `depth` (m) below the seen surface, (F, 3) in B; NaN for fingers that feel it."""
     X_BO = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)
     target, touches = m.goal.p_BF_open.copy(), m.goal.touches
     target[touches] = X_BO.multiply((m.goal.p_OF_touch + depth * m.goal.n_OF)[touches].T).T
+    target[touches & m.feels] = np.nan
     return target
 
 
@@ -55,9 +56,7 @@ def gather(m: Moment) -> np.ndarray:
 
 def close(m: Moment) -> np.ndarray:
     """slowly close; a finger that feels the object stops"""
-    target = _around(m, m.config.overshoot)
-    target[m.goal.touches & m.feels] = np.nan
-    return target
+    return _around(m, m.config.overshoot)
 
 
 def closing_speed(m: Moment) -> np.ndarray:
@@ -275,16 +274,6 @@ def _at_limit(m: Moment) -> bool:
     return m.fingers_at_limit and _shift(m) is None
 
 
-def _beside(m: Moment) -> float:
-    """Returns the largest averaged distance of a touching fingertip from its place, along the surface, m."""
-    X_BO, touches = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO), m.goal.touches
-    off = X_BO.inverse().multiply(m.seen.p_BF.T).T - m.goal.p_OF_touch
-    off -= np.sum(off * m.goal.n_OF, axis=1, keepdims=True) * m.goal.n_OF
-    off = averaged(m.recall("beside"), off[touches], m.config)
-    m.note(beside=off)
-    return float(np.linalg.norm(off, axis=1).max())
-
-
 def _has_slipped(m: Moment) -> bool:
     """Whether the object is seen to have moved in the hand, or no finger feels it."""
     felt = m.recall("contact")
@@ -312,7 +301,6 @@ def is_before(m: Moment) -> str | None:
 
 def is_around(m: Moment) -> str | None:
     """hand in place"""
-    m.note(regrasps=0)
     return "surround" if m.has_arrived(_at_object(m), m.tolerance(m.config.reach_tolerance)) else None
 
 
@@ -321,20 +309,16 @@ def is_gathered(m: Moment) -> str | None:
     m.note(closing=False)
     if not m.wrist_rests or not _is_shaped(m, m.config.aperture_tolerance):
         return None
-    m.note(closing=True, beside=None)
+    m.note(closing=True)
     return "close"
 
 
 def all_feel(m: Moment) -> str | None:
-    """all grasping fingers feel the object, or come no nearer; they gather again if one missed its place"""
-    beside = _beside(m)
-    if not (m.feels[m.goal.touches].all() or _at_limit(m)):
-        return None
-    regrasps = m.recall("regrasps")
-    if beside > m.tolerance(m.config.aperture_tolerance) and regrasps < m.config.max_corrections:
-        m.note(regrasps=regrasps + 1)
-        return "surround"
-    return begin_squeeze(m)
+    """all grasping fingers feel the object"""
+    # A person without touch takes fingers that have stopped to be touching.
+    if m.feels[m.goal.touches].all() or (not m.config.touch and _at_limit(m)):
+        return begin_squeeze(m)
+    return None
 
 
 def begin_squeeze(m: Moment) -> str:
