@@ -31,7 +31,7 @@ from geort_drake.live.joint_messages import (
     open_zmq_bus,
 )
 from geort_drake.live.messages import GloveFrame, decode, encode_frame
-from geort_drake.live.robot_buses import ALLEGRO, PANDA, Device, open_bus, open_stand_in_bus
+from geort_drake.live.robot_buses import ALLEGRO, PANDA, Device, open_bus
 from geort_drake.live.robots import RobotLink
 from geort_drake.live.transports import (
     LOCAL_LCM,
@@ -364,7 +364,7 @@ def test_joint_messages_reach_the_other_end_and_malformed_ones_are_counted(tmp_p
     targets = JointTargets(1, 2.0, names, q, np.zeros(23), True, 0.1)
     state = JointState(1, 2.0, names, q, v)
     with contextlib.closing(open_bus(address, hand)) as live:
-        with contextlib.closing(open_stand_in_bus(address, hand)) as driver:
+        with contextlib.closing(open_bus(address, hand, driver=True)) as driver:
             for sender, receiver, message in ((live, driver, targets), (driver, live, state)):
                 received: dict[str, float] = {}
 
@@ -408,7 +408,7 @@ def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
     if robot == "lcm":
         address = f"lcm+{request.getfixturevalue('lcm_url')}"
     glove = f"ipc://{tmp_path}/glove"
-    commands = open_stand_in_bus(address, load_hand("allegro_right"))  # hears what the stand-in hears
+    commands = open_bus(address, load_hand("allegro_right"), driver=True)  # hears what the stand-in hears
     first: dict[str, float] = {}
 
     def moved() -> bool | None:

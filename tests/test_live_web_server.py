@@ -21,7 +21,6 @@ from live_page import live_program
 from pydrake.geometry import Mesh, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake import Recording, load_hand, load_scenario
@@ -30,7 +29,7 @@ from geort_drake.hands.assembly import add_hand_model
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
 from geort_drake.live.web.messages import MAX_BYTES
-from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
+from geort_drake.live.web.scene import Scene, measured_poses
 from geort_drake.live.web.serve import find_page, is_loopback, own_addresses, self_signed_context
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
@@ -216,21 +215,12 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     names, looks = facts["moving"], facts["geometries"]
     assert names[facts["hand_base"]["moving"]].startswith("hand::")
     assert {look["moving"] for look in looks} - {None} == {*range(len(names))}
-    builder, frames, points = DiagramBuilder(), [], np.arange(63.0).reshape(21, 3)
-    builder.AddNamedSystem("robot", robot.diagram)
-    stream = builder.AddSystem(PoseStream(scene, lambda: points, "left", frames.append))
-    builder.Connect(robot.diagram.GetOutputPort("body_poses"), stream.GetInputPort("body_poses"))
-    simulator = Simulator(builder.Build())
-    root = simulator.get_mutable_context()
+    points, root = np.arange(63.0).reshape(21, 3), robot.diagram.CreateDefaultContext()
     robot.stage.scene.initialize(root)
-    for group in (robot.hand, robot.arm):
-        port = robot.diagram.GetInputPort(f"{group.name}_desired_state")
-        held = np.concatenate([group.start, np.zeros_like(group.start)])
-        port.FixValue(robot.diagram.GetMyMutableContextFromRoot(root), held)
     X_WO = plant.GetDefaultFloatingBaseBodyPose(body)
     link = plant.GetBodyByName("link_15").EvalPoseInWorld(plant.GetMyContextFromRoot(root))
-    simulator.AdvanceTo(0.1)
-    first = np.frombuffer(frames[0], "<f4")
+    poses = robot.diagram.GetOutputPort("body_poses").Eval(root)
+    first = np.frombuffer(scene.frame(0.0, poses, points, "left"), "<f4")
     assert len(first) == 1 + 7 * len(names) + 63
     for name, X in (("hand::link_15", link), ("cylinder::cylinder", X_WO)):
         begin = 1 + 7 * names.index(name)
@@ -265,12 +255,9 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
     description = load_hand(scenario.hand)
     model = RobotModel(scenario, description)
     plant = model.standing_at({}).plant()
-    kinematics = RobotKinematics(plant)
-    context = kinematics.CreateDefaultContext()
     q_arm = model.arm.start + 0.1
-    for group, q in ((model.hand, model.hand.start), (model.arm, q_arm)):
-        kinematics.GetInputPort(f"{group.name}_state").FixValue(context, np.concatenate([q, 0 * q]))
-    poses = kinematics.GetOutputPort("body_poses").Eval(context)
+    joints = {model.hand.name: model.hand.start, model.arm.name: q_arm}
+    poses = measured_poses(plant)({name: np.concatenate([q, 0 * q]) for name, q in joints.items()})
     moved = model.standing_at(dict(zip(model.arm.joints, q_arm.tolist(), strict=True))).plant()
     link = moved.GetBodyByName("panda_link7")
     X_WB = moved.EvalBodyPoseInWorld(moved.CreateDefaultContext(), link)

@@ -2,7 +2,7 @@
 
 import dataclasses as dc
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -157,65 +157,54 @@ class HandDescription:
         Raises:
             HandError: a field is missing or wrong; names hand, field, expected and given values.
         """
-        require = self._require
-        for field in ("name", "model", "base_frame"):
-            require(getattr(self, field), field, "given", "nothing")
-        require(self.side in SIDES, "side", f"one of {', '.join(SIDES)}", f"'{self.side}'")
-        require(self.fingers, "fingers", "a list of at least one finger", "none")
-        for number, finger in enumerate(self.fingers):
-            self._validate_finger(finger, f"fingers[{number}]")
-        names = self.finger_names
-        ordered = [name for name in FINGER_NAMES if name in names]
-        require(names == ordered, "fingers", f"each at most once, as {', '.join(FINGER_NAMES)}", names)
-        joints = self.joint_names
-        twice = sorted({joint for joint in joints if joints.count(joint) > 1})
-        require(not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}")
-        order = self.motor_order
-        complete = {*joints} <= {*order} and len({*order}) == len(order)
-        require(not order or complete, "motor_order", f"each of {', '.join(joints)} once", order)
-        for joint, position in self.default_positions.items():
-            require(np.isfinite(position), f"default_positions.{joint}", "finite", position)
-        for place in ("mount", "base_pose"):
-            for field in ("translation", "rpy_deg"):
-                value = getattr(getattr(self, place), field)
-                require(_is_vector(value), f"{place}.{field}", "three finite numbers", value)
-        for field in ("stiffness", "damping", "effort_limit"):
-            value = getattr(self.actuation, field)
-            require(np.isfinite(value) and value >= 0, f"actuation.{field}", "at least 0", value)
-        for number, pair in enumerate(self.ignored_collisions):
-            good = len(pair) == 2 and pair[0] != pair[1]
-            require(good, f"ignored_collisions[{number}]", "the names of two links", pair)
-        self._validate_couplings()
-
-    def _validate_finger(self, finger: FingerDescription, where: str) -> None:
-        names, radius, keypoint = ", ".join(FINGER_NAMES), finger.tip_radius, finger.human_keypoint
-        for good, field, expected, given in (
-            (finger.name in FINGER_NAMES, "name", f"one of {names}", f"'{finger.name}'"),
-            (0 < keypoint <= 20, "human_keypoint", "from 1 to 20", keypoint),
-            (finger.joints, "joints", "a list of joint names", "none"),
-            (finger.tip_link, "tip_link", "the name of a link", "nothing"),
-            (_is_vector(finger.tip_point), "tip_point", "three finite coordinates in m", finger.tip_point),
-            (np.isfinite(radius) and radius > 0, "tip_radius", "positive, in m", radius),
-        ):
-            self._require(good, f"{where}.{field}", expected, given)
-
-    def _validate_couplings(self) -> None:
-        surplus = len(self.couplings) - len({coupling.joint for coupling in self.couplings})
-        self._require(not surplus, "couplings", "one for each joint that follows", f"{surplus} too many")
-        for number, coupling in enumerate(self.couplings):
-            ratio, joint = coupling.ratio, coupling.joint
-            for good, field, expected, given in (
-                (joint and coupling.follows, "", "of two joints", "a name is missing"),
-                (joint not in self.joint_names, ".joint", "listed with no finger", f"'{joint}'"),
-                (np.isfinite(ratio) and ratio != 0, ".ratio", "finite and not 0", ratio),
-                (np.isfinite(coupling.offset), ".offset", "finite", coupling.offset),
-            ):
-                self._require(good, f"couplings[{number}]{field} of '{joint}'", expected, given)
+        for good, field, expected, given in self._requirements():
+            if not good:
+                raise HandError(f"hand '{self.name}': {field} must be {expected}; given: {given}")
         resolved_couplings(self.couplings)
 
-    def _require(self, condition: object, field: str, expected: str, given: object) -> None:
-        if not condition:
-            raise HandError(f"hand '{self.name}': {field} must be {expected}; given: {given}")
+    def _requirements(self) -> Iterator[tuple[object, str, str, object]]:
+        """Yields conditions, and of each its field, what is expected, and what is given."""
+        for field in ("name", "model", "base_frame"):
+            yield getattr(self, field), field, "given", "nothing"
+        yield self.side in SIDES, "side", f"one of {', '.join(SIDES)}", f"'{self.side}'"
+        yield self.fingers, "fingers", "a list of at least one finger", "none"
+        known = ", ".join(FINGER_NAMES)
+        for number, finger in enumerate(self.fingers):
+            where, radius, keypoint = f"fingers[{number}]", finger.tip_radius, finger.human_keypoint
+            yield finger.name in FINGER_NAMES, f"{where}.name", f"one of {known}", f"'{finger.name}'"
+            yield 0 < keypoint <= 20, f"{where}.human_keypoint", "from 1 to 20", keypoint
+            yield finger.joints, f"{where}.joints", "a list of joint names", "none"
+            yield finger.tip_link, f"{where}.tip_link", "the name of a link", "nothing"
+            good = _is_vector(finger.tip_point)
+            yield good, f"{where}.tip_point", "three finite coordinates in m", finger.tip_point
+            yield np.isfinite(radius) and radius > 0, f"{where}.tip_radius", "positive, in m", radius
+        names = self.finger_names
+        ordered = [name for name in FINGER_NAMES if name in names]
+        yield names == ordered, "fingers", f"each at most once, as {known}", names
+        joints = self.joint_names
+        twice = sorted({joint for joint in joints if joints.count(joint) > 1})
+        yield not twice, "fingers", "every joint once", f"twice: {', '.join(twice)}"
+        order = self.motor_order
+        complete = {*joints} <= {*order} and len({*order}) == len(order)
+        yield not order or complete, "motor_order", f"each of {', '.join(joints)} once", order
+        for joint, position in self.default_positions.items():
+            yield np.isfinite(position), f"default_positions.{joint}", "finite", position
+        for place, pose in (("mount", self.mount), ("base_pose", self.base_pose)):
+            for field, value in (("translation", pose.translation), ("rpy_deg", pose.rpy_deg)):
+                yield _is_vector(value), f"{place}.{field}", "three finite numbers", value
+        for field, value in dc.asdict(self.actuation).items():
+            yield np.isfinite(value) and value >= 0, f"actuation.{field}", "at least 0", value
+        for number, pair in enumerate(self.ignored_collisions):
+            good = len(pair) == 2 and pair[0] != pair[1]
+            yield good, f"ignored_collisions[{number}]", "the names of two links", pair
+        surplus = len(self.couplings) - len({coupling.joint for coupling in self.couplings})
+        yield not surplus, "couplings", "one for each joint that follows", f"{surplus} too many"
+        for number, c in enumerate(self.couplings):
+            where, of = f"couplings[{number}]", f" of '{c.joint}'"
+            yield c.joint and c.follows, f"{where}{of}", "of two joints", "a name is missing"
+            yield c.joint not in joints, f"{where}.joint{of}", "listed with no finger", f"'{c.joint}'"
+            yield np.isfinite(c.ratio) and c.ratio != 0, f"{where}.ratio{of}", "finite and not 0", c.ratio
+            yield np.isfinite(c.offset), f"{where}.offset{of}", "finite", c.offset
 
 
 def _is_vector(value: list[float]) -> bool:

@@ -33,8 +33,8 @@ from geort_drake.live.transports import check_lcm_url, split_address
 ROBOT_PATTERNS = ("zmq", "lcm")
 
 
-def open_bus(address: str, description: HandDescription) -> Bus[JointTargets, JointState]:
-    """Opens a robot's address.
+def open_bus(address: str, description: HandDescription, driver: bool = False) -> Bus:
+    """Opens a robot's address, or with `driver` the driver's end of it.
 
     Raises:
         LiveError: the address is malformed or in use, or pyzmq is not installed.
@@ -42,18 +42,11 @@ def open_bus(address: str, description: HandDescription) -> Bus[JointTargets, Jo
     """
     pattern, endpoint = split_address(address, ROBOT_PATTERNS)
     if pattern == "zmq":
-        return open_zmq_bus(endpoint)
+        return open_driver_bus(endpoint) if driver else open_zmq_bus(endpoint)
     require_lcm_messages(description)
+    if driver:
+        return LcmBus(endpoint, ("STATUS", Device.encode_status), ("COMMAND", Device.decode_command))
     return LcmBus(endpoint, ("COMMAND", Device.encode_command), ("STATUS", Device.decode_status))
-
-
-def open_stand_in_bus(address: str, description: HandDescription) -> Bus[JointState, JointTargets]:
-    """Opens the driver's end of a robot's address; errors as in `open_bus`."""
-    pattern, endpoint = split_address(address, ROBOT_PATTERNS)
-    if pattern == "zmq":
-        return open_driver_bus(endpoint)
-    require_lcm_messages(description)
-    return LcmBus(endpoint, ("STATUS", Device.encode_status), ("COMMAND", Device.decode_command))
 
 
 @dc.dataclass(frozen=True)

@@ -21,7 +21,7 @@ from geort_drake.errors import LiveError
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.joint_messages import Bus, JointState, JointTargets
-from geort_drake.live.robot_buses import open_stand_in_bus
+from geort_drake.live.robot_buses import open_bus
 from geort_drake.live.transports import wait_for
 from geort_drake.live.watchdog import AFTER
 from geort_drake.simulation.following import JointGroup, RobotModel, robot_model
@@ -158,7 +158,9 @@ def make_stand_in(scenario: Scenario, address: str, meshcat: Meshcat | None = No
     simulated = SimulatedRobot(scenario, description, robot_model(scenario, description), meshcat)
     robot = builder.AddNamedSystem("robot", simulated.diagram)
     groups = (simulated.hand, simulated.arm)
-    server = builder.AddNamedSystem("server", JointServer(open_stand_in_bus(address, description), groups))
+    server = builder.AddNamedSystem(
+        "server", JointServer(open_bus(address, description, driver=True), groups)
+    )
     for group in groups:
         state, desired = f"{group.name}_state", f"{group.name}_desired_state"
         builder.Connect(robot.GetOutputPort(state), server.GetInputPort(state))

@@ -30,19 +30,19 @@ STEP_S = 0.02
 _MAX_LATENESS_S = 0.05
 
 
-@dc.dataclass(frozen=True)
+@dc.dataclass
 class SessionReport:
-    """What happened in a session.
+    """What happened in one session or several.
 
     Attributes:
-        duration: duration of the session, s.
+        duration: duration of the sessions, s.
         states: state → how long the fingers were in it, s.
         late: how often the loop lagged and paused its simulated time.
     """
 
-    duration: float
-    states: dict[str, float]
-    late: int
+    duration: float = 0.0
+    states: dict[str, float] = dc.field(default_factory=dict)
+    late: int = 0
 
 
 class SteadyState:
@@ -105,6 +105,7 @@ def run_session(
     stop: Callable[[], bool],
     require_robot: Callable[[], None] = lambda: None,
     on_state: Callable[[float, str], None] = lambda time, state: None,
+    report: SessionReport | None = None,
 ) -> SessionReport:
     """Runs the loop in real time until `stop()` or for `duration`, and then holds the robot.
 
@@ -116,6 +117,7 @@ def run_session(
         stop: returns whether to end the session.
         require_robot: called after every step; raises if the robot is lost.
         on_state: called with the time (s) and the state when it changes, see `SteadyState`, and with notices.
+        report: report of earlier sessions, to which this one is added.
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
@@ -123,7 +125,8 @@ def run_session(
         loop.simulation.stage.scene.initialize(root)
     loop.engage(root, engaged)
     simulator.Initialize()
-    states: dict[str, float] = {}
+    report = report or SessionReport()
+    states = report.states
     steady, last, notice = SteadyState(), "", ""
     ended: float | None = None
 
@@ -137,7 +140,7 @@ def run_session(
             loop.engage(root, engaged and ended is None)
         state = loop.state(root)
         kind = state.partition(";")[0]  # without the reason of a refusal
-        states[kind] = states.get(kind, 0.0) + STEP_S
+        states[kind] = round(states.get(kind, 0.0) + STEP_S, 6)
         if (shown := steady.step(time, state)) != last:
             on_state(time, shown)
             last = shown
@@ -149,8 +152,9 @@ def run_session(
             loop.engage(root, False)
         return ended is None or time < ended + HOLD_S
 
-    late = run_in_real_time(simulator, STEP_S, go_on)
-    return SessionReport(round(root.get_time(), 6), {k: round(v, 6) for k, v in states.items()}, late)
+    report.late += run_in_real_time(simulator, STEP_S, go_on)
+    report.duration += round(root.get_time(), 6)
+    return report
 
 
 def run_in_real_time(

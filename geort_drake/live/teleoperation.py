@@ -167,7 +167,6 @@ def make_teleoperation(
     start: tuple[np.ndarray, np.ndarray],
     relax_after: float = 5.0,
     recorder: GloveRecorder | None = None,
-    add_view: Callable[[DiagramBuilder, System], None] = lambda builder, robot: None,
 ) -> Teleoperation:
     """Builds the diagram for a glove and a robot. Engage the person in its context before the first step.
 
@@ -181,7 +180,6 @@ def make_teleoperation(
         start: present positions of hand (n,) and arm (m,), rad, in the model's order.
         relax_after: time for which a lost hand is held before it relaxes, s.
         recorder: records the glove's outputs, if given; records the hand as lost while disengaged.
-        add_view: function that adds systems to show the robot.
 
     Raises:
         HandError: the retargeter and the robot move different joints.
@@ -245,8 +243,6 @@ def make_teleoperation(
         }.items():
             if recorder.HasInputPort(name):
                 builder.Connect(port, recorder.GetInputPort(name))
-
-    add_view(builder, robot)
 
     built = builder.Build()
     built.set_name("teleoperation")

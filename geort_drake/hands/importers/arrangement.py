@@ -8,7 +8,7 @@ from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.hand import Hand
-from geort_drake.hands.importers.fingers import Part, finger_shapes, parts_of, unit
+from geort_drake.hands.importers.fingers import FingerShape, Part, finger_shapes, parts_of, unit
 from geort_drake.hands.importers.structure import HandStructure
 from geort_drake.people.keypoints import FINGER_NAMES
 
@@ -46,25 +46,11 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     plant = structure.plant
     drawn = [plant.GetJointByName(name, structure.hand).get_default_angle() for name in hand.joint_names]
     fingers = finger_shapes(hand, np.clip(drawn, hand.lower, hand.upper))
-    knuckles = np.array([finger.p_knuckle for finger in fingers])
-    directions = np.array([finger.direction for finger in fingers])
-    named = fingers_by_name([chain.names for chain in structure.chains])
-    thumbs = [fingers_by_name([chain.names]) == ["thumb"] for chain in structure.chains]
-    if named is not None and "thumb" in named:
-        thumb = named.index("thumb")
-    elif thumbs.count(True) == 1:
-        named, thumb = None, thumbs.index(True)
-        notes.append("names identify only the thumb; the other fingers are named by their positions")
-    else:
-        named = None
-        thumb = _thumb_by_position(
-            np.array([finger.p_base for finger in fingers]), directions, [f.length for f in fingers]
-        )
-        joints = ", ".join(structure.chains[thumb].joints)
-        notes.append(f"no name identifies the thumb; it is assumed to be the finger with the joints {joints}")
+    named, thumb = _thumb(structure, fingers, notes)
     others = [number for number in range(len(fingers)) if number != thumb]
+    knuckles = np.array([finger.p_knuckle for finger in fingers])
     middle = knuckles[others].mean(axis=0)
-    z = unit(directions[others].mean(axis=0))
+    z = unit(np.mean([fingers[number].direction for number in others], axis=0))
     x = np.sum([fingers[number].bending for number in others], axis=0)
     if np.linalg.norm(x) < _CLOSING_FRACTION * sum(fingers[number].play for number in others):
         x = fingers[thumb].p_base - middle
@@ -73,12 +59,24 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     context = plant.CreateDefaultContext()
     R_RP = plant.EvalBodyPoseInWorld(context, structure.palm[0]).rotation().matrix()
     R_RB = R_RP @ _snapped(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
-    side = _side(structure, named, (knuckles - middle) @ R_RB[:, 1], thumb, notes, (
-        0.5 * (fingers[thumb].p_base + fingers[thumb].p_middle) - middle
-    ) @ R_RB)  # fmt: skip
+    across = (knuckles - middle) @ R_RB[:, 1]
+    forward, to_left, _ = (0.5 * (fingers[thumb].p_base + fingers[thumb].p_middle) - middle) @ R_RB
+    place = "thumb's position indicates"
+    if named is not None and len(named) > 2:
+        # The order of the knuckles of named fingers tells more than the thumb's place.
+        places = [FINGER_NAMES.index(name) for name in named]
+        order = sorted(others, key=places.__getitem__)
+        apart = float(across[order[0]] - across[order[-1]])
+        if abs(apart) > _KNUCKLES_APART:
+            forward, to_left, place = 0.0, apart, "order of the fingers indicates"
+    side = _side(structure, forward, to_left, place, notes)
     if named is None:
-        towards_thumb = (knuckles - middle) @ R_RB[:, 1] * (1 if side == "right" else -1)
-        named = _fingers_by_position(thumb, towards_thumb)
+        # The index finger is nearest to the thumb's side.
+        named = [FINGER_NAMES[0]] * len(fingers)
+        by_place = np.argsort(-across * (1 if side == "right" else -1))
+        in_order = [number for number in by_place if number != thumb]
+        for name, number in zip(FINGER_NAMES[1:], in_order, strict=False):
+            named[number] = name
     parts: list[Part] = []
     for role in (Role.kProximity, Role.kIllustration):
         parts = parts or parts_of(plant, structure.scene_graph, structure.palm, role, plant.world_frame())
@@ -89,51 +87,54 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     return named, RigidTransform(RotationMatrix(R_RB), wrist), side
 
 
-def _side(
-    structure: HandStructure,
-    named: list[str] | None,
-    across: np.ndarray,
-    thumb: int,
-    notes: list[str],
-    thumb_place: np.ndarray,
-) -> str:
-    """Returns the side of the hand.
+def _thumb(
+    structure: HandStructure, fingers: list[FingerShape], notes: list[str]
+) -> tuple[list[str] | None, int]:
+    """Returns the names of the fingers, if the model's names tell them all, and the number of the thumb."""
+    names = fingers_by_name([chain.names for chain in structure.chains])
+    if names is not None and "thumb" in names:
+        return names, names.index("thumb")
+    thumbs = [fingers_by_name([chain.names]) == ["thumb"] for chain in structure.chains]
+    if thumbs.count(True) == 1:
+        notes.append("names identify only the thumb; the other fingers are named by their positions")
+        return None, thumbs.index(True)
+    if len(fingers) == 2:
+        thumb = int(np.argmin([finger.length for finger in fingers]))
+    else:
+        # The thumb differs most in position and direction.
+        p_base = np.array([finger.p_base for finger in fingers])
+        directions = np.array([finger.direction for finger in fingers])
+        scale = max(float(np.ptp(p_base, axis=0).max()), 1e-6)
+        apart = []
+        for number in range(len(fingers)):
+            others = np.delete(np.arange(len(fingers)), number)
+            turned = 1.0 - directions[number] @ unit(directions[others].mean(axis=0))
+            apart.append(turned + np.linalg.norm(p_base[number] - p_base[others].mean(axis=0)) / scale)
+        thumb = int(np.argmax(apart))
+    joints = ", ".join(structure.chains[thumb].joints)
+    notes.append(f"no name identifies the thumb; it is assumed to be the finger with the joints {joints}")
+    return None, thumb
 
-    The order of the knuckles of named fingers decides, else the thumb's place, else names.
 
-    Args:
-        structure: structure of the model.
-        named: names of the fingers, if they are known.
-        across: (F,) coordinates of the knuckles along y of the hand base, m.
-        thumb: number of the thumb.
-        notes: receives a sentence on each guess.
-        thumb_place: (3,) position of the thumb relative to the middle of the knuckles, in the hand base, m.
+def _side(structure: HandStructure, forward: float, to_left: float, place: str, notes: list[str]) -> str:
+    """Returns the side of a hand whose thumb lies `forward` and `to_left` of the other fingers' knuckles, m.
+
+    Names decide where the thumb is opposite the fingers. `place` says how its place is known.
     """
-    plant, hand = structure.plant, structure.hand
-    links = [plant.get_body(index).name() for index in plant.GetBodyIndices(hand)]
+    plant = structure.plant
+    links = [plant.get_body(index).name() for index in plant.GetBodyIndices(structure.hand)]
     # Names of links come last, because a whole robot has links of both sides.
-    named_side = (
-        side_by_name([structure.path.stem])
-        or side_by_name([structure.palm[0].name()])
-        or side_by_name([plant.GetModelInstanceName(hand), *links])
-    )
-    forward, to_left, _ = thumb_place
-    place = "thumb's position indicates"
-    if named is not None and len(named) > 2:
-        order = sorted(
-            (n for n in range(len(named)) if n != thumb), key=lambda n: FINGER_NAMES.index(named[n])
-        )
-        apart = across[order[0]] - across[order[-1]]
-        if abs(apart) > _KNUCKLES_APART:
-            forward, to_left, place = 0.0, float(apart), "order of the fingers indicates"
+    model = [plant.GetModelInstanceName(structure.hand), *links]
+    texts = ([structure.path.stem], [structure.palm[0].name()], model)
+    named = next(filter(None, map(side_by_name, texts)), None)
     if abs(to_left) < _SIDEWAYS_FRACTION * abs(forward):
-        side = named_side or "right"
+        side = named or "right"
         notes.append(f"the thumb is opposite the fingers, not at their side; assuming a {side} hand")
         return side
     side = "right" if to_left > 0 else "left"
-    if named_side is not None and named_side != side:
+    if named is not None and named != side:
         notes.append(
-            f"names indicate a {named_side} hand, but the {place} a {side} hand; check base_pose and "
+            f"names indicate a {named} hand, but the {place} a {side} hand; check base_pose and "
             "side, and the joint limits, which may close the fingers backwards"
         )
     return side
@@ -163,34 +164,6 @@ def side_by_name(texts: Sequence[str]) -> str | None:
         sum(bool(re.search(_SIDES[side], text.lower())) for text in texts) for side in ("right", "left")
     )
     return None if right == left else "right" if right > left else "left"
-
-
-def _thumb_by_position(p_base: np.ndarray, directions: np.ndarray, lengths: Sequence[float]) -> int:
-    """Returns the number of the finger that differs most in position and direction; of two, the shorter.
-
-    Args:
-        p_base: (F, 3) positions of the fingers' first joints, m.
-        directions: (F, 3) unit vectors along the stretched fingers.
-        lengths: (F,) lengths of the stretched fingers, m.
-    """
-    if len(p_base) == 2:
-        return int(np.argmin(lengths))
-    scale = max(float(np.ptp(p_base, axis=0).max()), 1e-6)
-    apart = []
-    for number in range(len(p_base)):
-        others = np.delete(np.arange(len(p_base)), number)
-        turned = 1.0 - directions[number] @ unit(directions[others].mean(axis=0))
-        apart.append(turned + np.linalg.norm(p_base[number] - p_base[others].mean(axis=0)) / scale)
-    return int(np.argmax(apart))
-
-
-def _fingers_by_position(thumb: int, towards_thumb: np.ndarray) -> list[str]:
-    """Names fingers by their coordinates (F,) towards the thumb's side, beginning with the index finger."""
-    names = [FINGER_NAMES[0]] * len(towards_thumb)
-    others = [number for number in np.argsort(-towards_thumb) if number != thumb]
-    for name, number in zip(FINGER_NAMES[1:], others, strict=False):
-        names[number] = name
-    return names
 
 
 def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:

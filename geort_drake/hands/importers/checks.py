@@ -2,6 +2,7 @@
 
 import itertools
 from collections import Counter
+from collections.abc import Iterator
 
 import numpy as np
 from pydrake.geometry import Role
@@ -47,46 +48,42 @@ def contact_fractions(hand: Hand) -> dict[tuple[str, str], float]:
     return {pair: count / _POSTURES for pair, count in counts.items()}
 
 
-def _lengths(hand: Hand) -> list[str]:
-    found, (low, high) = [], _FINGER_LENGTHS
+def _lengths(hand: Hand) -> Iterator[str]:
+    low, high = _FINGER_LENGTHS
     for chain in hand.kinematics().fingers:
         length = _link_lengths(chain.X_PJ, chain.p_tip).sum()
         if not low <= length <= high:
-            found.append(
+            yield (
                 f"{chain.name} is {length:.3g} m long: is it a finger, and are model and meshes in metres?"
             )
-    return found
 
 
-def _limits(hand: Hand) -> list[str]:
-    found = []
+def _limits(hand: Hand) -> Iterator[str]:
     for name, low, high in zip(hand.joint_names, hand.lower, hand.upper, strict=True):
         degrees = f"from {np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} degrees"
         if high - low < _NARROW_RANGE:
-            found.append(f"joint '{name}' moves only {degrees}: are its limits in radians?")
+            yield f"joint '{name}' moves only {degrees}: are its limits in radians?"
         elif high - low > _WIDE_RANGE:
-            found.append(f"joint '{name}' moves {degrees}, more than a full turn: give it narrower limits")
+            yield f"joint '{name}' moves {degrees}, more than a full turn: give it narrower limits"
         joint = hand.plant.GetJointByName(name)
         if high - low < _FREE_FRACTION * (joint.position_upper_limit() - joint.position_lower_limit()):
-            found.append(f"joint '{name}' moves only {degrees}, because of its followers' limits")
-    return found
+            yield f"joint '{name}' moves only {degrees}, because of its followers' limits"
 
 
-def _pinches(hand: Hand) -> list[str]:
+def _pinches(hand: Hand) -> Iterator[str]:
     if "thumb" not in hand.finger_names:
-        return ["no finger is called thumb, so the hand cannot pinch"]
+        yield "no finger is called thumb, so the hand cannot pinch"
+        return
     thumb = hand.description.fingers[0]
-    found = []
     for number, finger in enumerate(hand.description.fingers[1:], start=1):
         distance = 1e3 * nearest_pinch(hand, number)
         touch = 1e3 * (thumb.tip_radius + finger.tip_radius)
         if distance > touch:
-            found.append(
+            yield (
                 f"the tips of thumb and {finger.name} touch at {touch:.0f} mm, but come no nearer than "
                 f"{distance:.0f} mm: the pinch is out of reach, or tip_point, tip_radius, base or limits are "
                 "wrong"
             )
-    return found
 
 
 def nearest_pinch(hand: Hand, number: int) -> float:
@@ -103,9 +100,8 @@ def nearest_pinch(hand: Hand, number: int) -> float:
     return min(float(np.linalg.norm(each.fun)) for each in found)
 
 
-def _orientation(hand: Hand) -> list[str]:
+def _orientation(hand: Hand) -> Iterator[str]:
     """Finds fingers that lie, point or bend against the axes of the hand base."""
-    found = []
     sign = 1.0 if hand.description.side == "right" else -1.0
     names, shapes = hand.finger_names, finger_shapes(hand, np.clip(0.0, hand.lower, hand.upper))
     fingers = [number for number, name in enumerate(names) if name != "thumb"]
@@ -114,14 +110,14 @@ def _orientation(hand: Hand) -> list[str]:
         shape = shapes[number]
         angle = _angle(shape.direction, 2)
         if angle > _LEANING:
-            found.append(
+            yield (
                 f"{names[number]} (joints {joints}) points {angle:.0f} degrees away from +z of the hand base "
                 "when it is stretched: base_pose or base_frame is wrong, or the joints' limits are"
             )
         bends = np.linalg.norm(shape.bending) > _CLOSING_FRACTION * shape.play
         angle = _angle(shape.bending, 0)
         if bends and angle > _LEANING:
-            found.append(
+            yield (
                 f"{names[number]} (joints {joints}) bends {angle:.0f} degrees away from +x of the hand base: "
                 "base_pose, base_frame or side is wrong, or the joints' limits are"
             )
@@ -130,14 +126,13 @@ def _orientation(hand: Hand) -> list[str]:
         thumb = names.index("thumb")
         y = sign * 0.5 * np.array([shape.p_base[1] + shape.p_middle[1] for shape in shapes])
         if y[thumb] < y[fingers].min() - _ORDER_MARGIN:
-            found.append(
+            yield (
                 f"the thumb lies on the little finger's side of a {hand.description.side} hand: side or "
                 "base_pose is wrong, or the fingers' names are"
             )
     order = [knuckles[number] for number in fingers]
     if any(second > first + _ORDER_MARGIN for first, second in itertools.pairwise(order)):
-        found.append(f"the fingers {', '.join(names[f] for f in fingers)} do not lie in this order")
-    return found
+        yield f"the fingers {', '.join(names[f] for f in fingers)} do not lie in this order"
 
 
 def _angle(v: np.ndarray, axis: int) -> float:
@@ -145,16 +140,15 @@ def _angle(v: np.ndarray, axis: int) -> float:
     return float(np.rad2deg(np.arccos(np.clip(unit(v)[axis], -1.0, 1.0))))
 
 
-def _tips(hand: Hand) -> list[str]:
+def _tips(hand: Hand) -> Iterator[str]:
     """Finds fingertips far from their fingers."""
-    found = []
     lengths = [_link_lengths(chain.X_PJ, chain.p_tip) for chain in hand.kinematics().fingers]
     usual = float(np.median([length.sum() for length in lengths]))
     plant, description = hand.plant, hand.description
     for finger, chain, length in zip(description.fingers, hand.kinematics().fingers, lengths, strict=True):
         joint, last = chain.all_joint_names[-1], length[-1]
         if last > usual:
-            found.append(
+            yield (
                 f"the tip of {finger.name} lies {1e3 * last:.0f} mm from its last joint '{joint}', farther "
                 f"than fingers are long ({1e3 * usual:.0f} mm): correct tip_link, tip_point or the model's "
                 "geometry"
@@ -169,21 +163,20 @@ def _tips(hand: Hand) -> list[str]:
             beside = finger.tip_point - np.clip(finger.tip_point, *corners)
             distance = float(np.linalg.norm(beside))
             if distance > finger.tip_radius + _TIP_MARGIN:
-                found.append(
+                yield (
                     f"the tip of {finger.name} lies {1e3 * distance:.0f} mm beside the {kind} geometry of "
                     f"'{finger.tip_link}', which joint '{joint}' moves: correct tip_point or the geometry"
                 )
-    return found
 
 
-def _collisions(hand: Hand) -> list[str]:
+def _collisions(hand: Hand) -> Iterator[str]:
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
     if inspector.NumGeometriesWithRole(Role.kProximity) == 0:
-        return [
+        yield (
             "the model has no collision geometry: it can neither avoid self-collision nor grasp; "
             "`geort-drake hand add --hulls` makes some from the visual geometry"
-        ]
-    found = []
+        )
+        return
 
     def geometries(link: str) -> list:
         bodies = plant.GetBodiesWeldedTo(plant.GetBodyByName(link))
@@ -192,32 +185,31 @@ def _collisions(hand: Hand) -> list[str]:
 
     bare = [finger.tip_link for finger in hand.description.fingers if not geometries(finger.tip_link)]
     if bare:
-        found.append(f"fingertips without collision geometry touch nothing: {', '.join(bare)}")
+        yield f"fingertips without collision geometry touch nothing: {', '.join(bare)}"
     long = [joint.child_body().name() for joint, length in _links(hand) if length > _SHORT_LINK]
     if without := [link for link in long if link not in bare and not geometries(link)]:
-        found.append(f"links of fingers without collision geometry: {listed(without)}")
+        yield f"links of fingers without collision geometry: {listed(without)}"
     shares = sorted(contact_fractions(hand).items(), key=lambda item: -item[1])
     if often := [f"'{a}' and '{b}' in {share:.0%}" for (a, b), share in shares if share >= FREQUENT_FRACTION]:
-        found.append(
+        yield (
             f"links touch in many postures, {listed(often)}: correct their shapes, or list the pairs in "
             "ignored_collisions"
         )
     if hand.collides(hand.default_position):
         pairs = {f"'{a}' and '{b}'" for _, a, b, _ in hand.penetrations(hand.default_position)}
-        found.append(f"the hand starts in self-collision: {listed(sorted(pairs))}; see default_positions")
-    return found
+        yield f"the hand starts in self-collision: {listed(sorted(pairs))}; see default_positions"
 
 
-def _masses(hand: Hand) -> list[str]:
+def _masses(hand: Hand) -> Iterator[str]:
     plant, light = hand.plant, []
     for joint, _ in _links(hand):
         moved = map(plant.get_body, plant.GetBodiesKinematicallyAffectedBy([joint.index()]))
         if not sum(body.default_mass() for body in moved) > 0:
             light.append(joint.child_body().name())
-    found = [f"links without mass cannot be simulated: {listed(light)}"] if light else []
+    if light:
+        yield f"links without mass cannot be simulated: {listed(light)}"
     if loose := [plant.get_body(index).name() for index in plant.GetFloatingBaseBodies()]:
-        found.append(f"these parts fall freely, as nothing connects them to the palm: {listed(loose)}")
-    return found
+        yield f"these parts fall freely, as nothing connects them to the palm: {listed(loose)}"
 
 
 def _links(hand: Hand) -> list[tuple[Joint, float]]:

@@ -21,11 +21,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, RigidBody
 
-from geort_drake.hands.description import FingerDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.structure import Chain, HandStructure
 from geort_drake.hands.kinematics import HandKinematics
-from geort_drake.people.keypoints import TIP_KEYPOINT
 
 # The cross-section of this last fraction of a finger's last link gives the radius, within bounds, m.
 _END_FRACTION = 0.25
@@ -44,25 +42,14 @@ class Part(NamedTuple):
     points: np.ndarray
 
 
-def describe_finger(structure: HandStructure, chain: Chain, name: str) -> tuple[FingerDescription, str]:
-    """Describes a finger, whose tip is the centre of its rounded end.
+def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndarray, float, str]:
+    """Finds the tip of a finger: the centre of its rounded end.
 
     The tip is the end of the finger's collision geometry, else of its visual geometry, else a guess.
 
     Returns:
-        The description, and words for the user on the geometry from which the tip was derived.
+        Link, point (3,) in its frame, m, radius, m, and words for the user on what the tip was derived from.
     """
-    link, point, radius, source = _find_tip(structure, chain)
-    tip_point = [round(float(value), 5) + 0.0 for value in point]
-    keypoint = TIP_KEYPOINT[name]
-    description = FingerDescription(
-        name, keypoint, chain.joints, link.name(), tip_point, round(float(radius), 5)
-    )
-    return description, source
-
-
-def _find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndarray, float, str]:
-    """Returns a finger's tip: link, point (3,) in its frame, m, radius, m, and words on its origin."""
     plant = structure.plant
     context = plant.CreateDefaultContext()
     X_RJ = [
@@ -81,7 +68,7 @@ def _find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.nda
 
 
 def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> tuple[RigidBody, np.ndarray, float, str]:
-    """Finds the tip, as `_find_tip`, of the geometries that move with the joint at p_RJ (3,), m, in R."""
+    """Finds the tip, as `find_tip`, of the geometries that move with the joint at p_RJ (3,), m, in R."""
     points = np.concatenate([part.points for part in parts])
     distance = np.linalg.norm(points - p_RJ, axis=1)
     along = (points[distance.argmax()] - p_RJ) / distance.max()

@@ -2,6 +2,7 @@
 
 import dataclasses as dc
 import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +15,14 @@ from geort_drake.hands.description import (
     ActuationDescription,
     BasePoseDescription,
     CouplingDescription,
+    FingerDescription,
     HandDescription,
 )
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.arrangement import arrange
 from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
-from geort_drake.hands.importers.fingers import describe_finger, parts_of
-from geort_drake.hands.importers.structure import HandStructure, read_structure
+from geort_drake.hands.importers.fingers import find_tip, parts_of
+from geort_drake.hands.importers.structure import HandStructure
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
 _BASE_NAME = "hand_base"
@@ -54,19 +56,23 @@ def propose(
         HandError: the model cannot be read, or is not one hand with 2 to 5 fingers of revolute joints.
         UnknownNameError: the model has no such link.
     """
-    structure = read_structure(model.resolve(), palm)
+    structure = HandStructure(model.resolve(), palm)
     plant = structure.plant
     notes: list[str] = []
-    # With provisional names.
-    described = [
-        describe_finger(structure, *each) for each in zip(structure.chains, FINGER_NAMES, strict=False)
-    ]
+    fingers: list[FingerDescription] = []  # with provisional names
+    sources: list[str] = []
+    for chain, label in zip(structure.chains, FINGER_NAMES, strict=False):
+        link, point, radius, source = find_tip(structure, chain)
+        (radius,) = _rounded([radius])
+        keypoint = TIP_KEYPOINT[label]
+        fingers.append(FingerDescription(label, keypoint, chain.joints, link.name(), _rounded(point), radius))
+        sources.append(source)
     # In the frame R of the root link, with provisional finger names.
     draft = HandDescription(
         name=name or re.sub(r"\W+", "_", model.stem),
         model=str(model.resolve()),
         base_frame=structure.root,
-        fingers=[finger for finger, _ in described],
+        fingers=fingers,
         couplings=[
             CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
             for c in structure.couplings
@@ -84,7 +90,7 @@ def propose(
     hand = Hand(draft)
     names, X_RB, side = arrange(structure, hand, notes)
     guessed: dict[str, list[str]] = {}
-    for (finger, source), label in zip(described, names, strict=True):
+    for finger, source, label in zip(fingers, sources, names, strict=True):
         if not source.startswith("a sphere"):
             guessed.setdefault(source, []).append(f"{label} {1e3 * finger.tip_radius:.1f} mm")
     notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
@@ -107,7 +113,7 @@ def propose(
         notes.append(f"contacts of links with overlapping shapes are ignored: {listed(texts)}")
     fingers = [
         dc.replace(finger, name=label, human_keypoint=TIP_KEYPOINT[label])
-        for (finger, _), label in zip(described, names, strict=True)
+        for finger, label in zip(fingers, names, strict=True)
     ]
     description = dc.replace(
         draft,
@@ -216,5 +222,5 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
     return _GAINS
 
 
-def _rounded(values: np.ndarray, digits: int = 5) -> list[float]:
+def _rounded(values: Iterable[float], digits: int = 5) -> list[float]:
     return [round(float(value), digits) + 0.0 for value in values]

@@ -24,6 +24,8 @@ from geort_drake.simulation.tasks.grasp import explained
 from geort_drake.systems.glove import GloveRecorder
 
 _STATE_S = 0.1  # s between two states
+# s between two frames on average; the page draws as many, which leaves time for its hand tracker.
+_FRAME_S = 0.032
 WAITING = "begins when you engage"
 # Phase of a task in which disengaging by a fist drops nothing.
 UNTOUCHED = "reach"
@@ -75,8 +77,17 @@ class PageControl:
         recorder: GloveRecorder | None,
         scene: int,
         facts: dict[str, Any],
+        show: Callable[[Context], None] = lambda root: None,
     ) -> None:
-        """Begins a session with the scene's number, and facts for recordings: robot, task, object, seed."""
+        """Begins a session.
+
+        Args:
+            loop, recorder: what the session runs, and its recorder, if it has one.
+            scene: number of the scene.
+            facts: facts for recordings: robot, task, object, seed.
+            show: called every `_FRAME_S`; shows the poses of hands and robot.
+        """
+        self._show, self._next_frame = show, 0.0
         self.loop, self.recorder, self._scene, self._facts = loop, recorder, scene, facts
         self.choice = replace(self.choice, task=facts.get("task"), object=facts.get("object"))
         self._started = 0.0 if loop.simulated_person else math.nan
@@ -111,8 +122,11 @@ class PageControl:
             thread.join()
 
     def step(self, root: Context, engaged: bool) -> bool:
-        """Carries out new commands; returns whether to engage the person."""
+        """Carries out new commands and shows the robot; returns whether to engage the person."""
         self._root = root
+        if root.get_time() >= self._next_frame:
+            self._next_frame += _FRAME_S
+            self._show(root)
         while self._station.commands:
             command = self._station.commands.popleft()
             self.note = ""

@@ -1,12 +1,11 @@
-"""Describes a plant's shapes for the page, and streams the poses of its bodies."""
+"""Describes a plant's shapes for the page, and the poses of its bodies."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import AbstractValue
 from pydrake.geometry import (
     Box,
     Capsule,
@@ -23,15 +22,12 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
-from pydrake.systems.framework import Context, EventStatus
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.world import ARM, HAND, actuated_joints
 from geort_drake.systems.port_values import pose_to_vector
-from geort_drake.systems.python_system import PythonSystem
 
-FRAME_PERIOD = 0.032  # s; gives at least 30 frames a second
 _GREY = [0.75, 0.75, 0.78, 1.0]
 _GROUND_M = 2.0  # side of the square that stands for a half space
 # View → direction from the middle of hand and objects to the eye, and the distance in radii of both. In all
@@ -181,65 +177,23 @@ def _numbers(X: RigidTransform) -> list[float]:
     return [round(value, 6) for value in pose_to_vector(X).tolist()]
 
 
-class PoseStream(PythonSystem):
-    """Sends frames of body poses and keypoints to the page.
+def measured_poses(plant: MultibodyPlant) -> Callable[[Mapping[str, np.ndarray]], list[RigidTransform]]:
+    """Returns a function from the measured joints of a real robot to X_WB by body index.
 
-    Input ports:
-        body_poses (abstract list of RigidTransform): X_WB of all bodies of the scene's plant.
-
-    Args:
-        scene: scene whose bodies move.
-        p_HK: returns the person's keypoints (21, 3), m in H; None while the hand is lost.
-        side: "right" or "left", of the robot's hand. Keypoints of a left hand come as their mirror image.
-        send: called with the bytes of every frame.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        p_HK: Callable[[], np.ndarray | None],
-        side: str,
-        send: Callable[[bytes], None],
-    ):
-        super().__init__()
-        self._scene, self._p_HK, self._side, self._send = scene, p_HK, side, send
-        self._poses = self.DeclareAbstractInputPort("body_poses", AbstractValue.Make([RigidTransform()]))
-        self.DeclarePeriodicPublishEvent(FRAME_PERIOD, 0.0, self._publish)
-
-    def _publish(self, context: Context) -> EventStatus:
-        poses = self._poses.Eval(context)
-        self._send(self._scene.frame(context.get_time(), poses, self._p_HK(), self._side))
-        return EventStatus.Succeeded()
-
-
-class RobotKinematics(PythonSystem):
-    """Computes the poses of a real robot's bodies from its measured joints.
-
-    Input ports:
-        hand_state (2n), arm_state (2m): positions (rad), then velocities (rad/s), in actuator order.
-    Output port:
-        body_poses (abstract list of RigidTransform): X_WB by body index.
+    Its argument maps hand and arm to their positions (rad), then velocities (rad/s), in actuator order.
 
     Args:
         plant: finalized plant of the robot.
     """
+    context = plant.CreateDefaultContext()
+    joints = {name: actuated_joints(plant, plant.GetModelInstanceByName(name)) for name in (HAND, ARM)}
+    bodies = [plant.get_body(BodyIndex(index)) for index in range(plant.num_bodies())]
 
-    def __init__(self, plant: MultibodyPlant):
-        super().__init__()
-        self._plant, self._context = plant, plant.CreateDefaultContext()
-        self._groups = []
-        for name in (HAND, ARM):
-            joints = actuated_joints(plant, plant.GetModelInstanceByName(name))
-            port = self.DeclareVectorInputPort(f"{name}_state", 2 * len(joints))
-            self._groups.append((port, [joint.position_start() for joint in joints]))
-        self.DeclareAbstractOutputPort(
-            "body_poses", lambda: AbstractValue.Make([RigidTransform()]), self._calc_poses
-        )
+    def poses(states: Mapping[str, np.ndarray]) -> list[RigidTransform]:
+        q = plant.GetPositions(context)
+        for name, group in joints.items():
+            q[[joint.position_start() for joint in group]] = states[name][: len(group)]
+        plant.SetPositions(context, q)
+        return [plant.EvalBodyPoseInWorld(context, body) for body in bodies]
 
-    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
-        q = self._plant.GetPositions(self._context)
-        for port, places in self._groups:
-            q[places] = port.Eval(context)[: len(places)]
-        self._plant.SetPositions(self._context, q)
-        bodies = map(self._plant.get_body, map(BodyIndex, range(self._plant.num_bodies())))
-        output.set_value([self._plant.EvalBodyPoseInWorld(self._context, body) for body in bodies])
+    return poses

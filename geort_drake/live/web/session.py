@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, System
+from pydrake.systems.framework import Context
 
 from geort_drake.errors import GeortError
 from geort_drake.hands.description import HandDescription
@@ -20,7 +20,7 @@ from geort_drake.live.session import STEP_S, SessionReport, run_in_real_time, ru
 from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.live.web.scene import PoseStream, RobotKinematics, Scene
+from geort_drake.live.web.scene import Scene, measured_poses
 from geort_drake.live.web.watched_trial import make_watched_trial
 from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.train import training_recording
@@ -98,28 +98,24 @@ class WebTeleoperation:
         Returns:
             A report of all sessions together, and the last diagram of teleoperation.
         """
-        total = SessionReport(0.0, {}, 0)
+        report = SessionReport()
         link, control = self.link, self.control
         loop = self._teleoperation(timeout)
         while True:
             before = control.choice
             for _ in range(2):  # the first frees what keeps the rest of the last diagram alive
                 gc.collect()
-            report = run_session(
+            run_session(
                 loop,
                 engaged,
                 control,
-                duration - total.duration,
+                duration - report.duration,
                 lambda: stop() or control.again,
                 lambda: link.require_alive(silence) if link else None,
                 on_state,
+                report,
             )
             control.end()
-            states = {
-                name: total.states.get(name, 0.0) + report.states.get(name, 0.0)
-                for name in total.states | report.states
-            }
-            total = SessionReport(total.duration + report.duration, states, total.late + report.late)
             engaged = False
             while control.again and not stop():
                 try:
@@ -134,7 +130,7 @@ class WebTeleoperation:
                     loop = self._teleoperation(timeout)
                     break
             else:
-                return total, loop
+                return report, loop
 
     def _scenario(self) -> Scenario:
         """Returns the chosen scenario, with a new object placement in every session."""
@@ -179,16 +175,19 @@ class WebTeleoperation:
         simulator = Simulator(parts.diagram)
         root = simulator.get_mutable_context()
         parts.initialize(root)
-        control.begin(trial, None, self._scenes, self._facts(scenario))
         poses = parts.plant.get_body_poses_output_port()
         keypoints = parts.glove_recorder.GetInputPort("keypoints")
         contexts = [system.GetMyContextFromRoot(root) for system in (parts.plant, parts.glove_recorder)]
 
-        def go_on() -> bool:
-            control.step(root, False)
+        def show(root: Context) -> None:
             p_HK = keypoints.Eval(contexts[1]).reshape(21, 3)
             frame = scene.frame(root.get_time(), poses.Eval(contexts[0]), p_HK, setup.about.side)
             self.server.publish(frame=frame)
+
+        control.begin(trial, None, self._scenes, self._facts(scenario), show)
+
+        def go_on() -> bool:
+            control.step(root, False)
             return not (stop() or control.again or trial.outcome(root).over)
 
         run_in_real_time(simulator, STEP_S, go_on)
@@ -207,32 +206,13 @@ class WebTeleoperation:
             scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
             robot = SimulatedRobot(scenario, description, model)
             start = robot.hand.start, robot.arm.start
-            shown = robot.stage.scene
-            inspector = shown.scene_graph.model_inspector()
-            scene = Scene(shown.plant, inspector, description)
+            plant, graph = robot.stage.scene.plant, robot.stage.scene.scene_graph
         else:
             robot, start = self.link, self.link.handshake(timeout)
             standing = model.standing_at({})
-            scene = Scene(standing.plant(), standing.scene_graph().model_inspector(), description)
-
-        def add_view(builder: DiagramBuilder, robot: System) -> None:
-            stream = builder.AddNamedSystem(
-                "pose_stream",
-                PoseStream(
-                    scene,
-                    lambda: self.station.p_HK,
-                    description.side,
-                    lambda frame: self.server.publish(frame=frame),
-                ),
-            )
-            source: System = robot
-            if not robot.HasOutputPort("body_poses"):
-                source = builder.AddNamedSystem("robot_kinematics", RobotKinematics(standing.plant()))
-                for name in (HAND, ARM):
-                    builder.Connect(
-                        robot.GetOutputPort(f"{name}_state"), source.GetInputPort(f"{name}_state")
-                    )
-            builder.Connect(source.GetOutputPort("body_poses"), stream.GetInputPort("body_poses"))
+            plant, graph = standing.plant(), standing.scene_graph()
+        scene = Scene(plant, graph.model_inspector(), description)
+        poses_of = None if self.link is None else measured_poses(plant)
 
         # The joints of a real robot are recorded, because a replay cannot reproduce them.
         kept = {} if self.link is None else robot_joints(description, model)
@@ -247,10 +227,21 @@ class WebTeleoperation:
             start,
             self.relax_after,
             recorder,
-            add_view,
         )
+        shown = loop.diagram.GetSubsystemByName("robot")
+
+        def show(root: Context) -> None:
+            context = shown.GetMyContextFromRoot(root)
+            if poses_of is None:
+                poses = shown.GetOutputPort("body_poses").Eval(context)
+            else:
+                states = {name: shown.GetOutputPort(f"{name}_state").Eval(context) for name in (HAND, ARM)}
+                poses = poses_of(states)
+            frame = scene.frame(root.get_time(), poses, self.station.p_HK, description.side)
+            self.server.publish(frame=frame)
+
         self._show(scene)
-        control.begin(loop, recorder, self._scenes, self._facts(scenario))
+        control.begin(loop, recorder, self._scenes, self._facts(scenario), show)
         return loop
 
 
