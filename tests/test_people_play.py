@@ -167,12 +167,12 @@ def recorded(count, duration_s):
 
 @pytest.fixture(scope="module")
 def population_range():
-    """Least and largest measures: of the motion of 80 people in eight seconds each, of 500 people's hands.
+    """Least and largest measures: of the motion of 100 people in eight seconds each, of 500 people's hands.
 
     The range of motion is widened by a twentieth on both sides, as so few and short recordings narrow it.
     Real measures lie inside the unwidened range of 500 people in 20 s each.
     """
-    motion, hands = ([measures(person) for person in recorded(*each)] for each in ((80, 8.0), (500, 0.2)))
+    motion, hands = ([measures(person) for person in recorded(*each)] for each in ((100, 8.0), (500, 0.2)))
     result = {}
     for name in motion[0]:
         of_hand = name.split()[1] in ("length", "knuckle")
