@@ -48,7 +48,7 @@ pictures: $(VENV)/installed
 	$(BIN)/python studies/pictures.py $(ARGS)
 
 tables: $(VENV)/installed-docs
-	$(BIN)/cog -r -I docs -p 'from tables import *' $$(grep -rl '\[\[\[cog' docs --include=*.md)
+	$(BIN)/cog -r -I docs -p 'from tables import *' $$(grep -rl '\[\[\[cog' README.md docs --include=*.md)
 
 docs: $(VENV)/installed-docs
 	$(BIN)/mkdocs build --strict

@@ -262,9 +262,25 @@ def hand_figures_table() -> str:
                 texts.append(f"{value:.0f}°")
             else:
                 texts.append(f"{value:.1f}" if column.startswith("gain") else f"{value:.3f}")
-        first, config = info["first_config"], info["config"]
-        steps = f"{first['steps']:,} + {config['steps']:,}"
+        stages = [info[stage] for stage in ("first_config", "second_config", "config") if stage in info]
+        steps = " + ".join(f"{stage['steps']:,}" for stage in stages)
         rows.append(f"| `{name}` | {steps} | {' | '.join(texts)} |")
+    return "\n".join(rows)
+
+
+def hands_by_name_table() -> str:
+    """A Markdown table of the hands with a shipped map: joints, and figures of people in no training."""
+    from geort_drake.retargeting.store import load_retargeter, shipped_maps
+
+    rows = ["| name | joints of q | motion kept | pinches closed | self-collision |", "|---|---|---|---|---|"]
+    retargeters = {name: load_retargeter(name) for name in shipped_maps()}
+    right = {name: each for name, each in retargeters.items() if "unseen_people" in each.info}
+    for name, each in sorted(right.items(), key=lambda item: -item[1].info["unseen_people"]["motion"]):
+        figures, left = each.info["unseen_people"], name.replace("right", "left")
+        names = f"`{name}`, `{left}`" if left in retargeters else f"`{name}`"
+        closed, collision = (f"{100 * figures[column]:.1f} %" for column in ("closed", "collision"))
+        motion = f"{figures['motion']:.2f}"
+        rows.append(f"| {names} | {len(each.joint_names)} | {motion} | {closed} | {collision} |")
     return "\n".join(rows)
 
 

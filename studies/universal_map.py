@@ -53,13 +53,13 @@ def people_of(arguments: argparse.Namespace, side: str) -> Iterator[tuple[str, R
     for path in arguments.recordings:
         yield path.stem, read_recording(path, side).tracked()
     for number in range(arguments.people):
-        yield f"person {number}", sample_person(UNSEEN, number).record(40.0, 30.0, side)
+        yield f"person {number}", sample_person(UNSEEN, number).record(10.0, 30.0, side)
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("maps", nargs="+", type=Path)
-    parser.add_argument("--people", type=int, default=8, help="number of synthetic people")
+    parser.add_argument("--people", type=int, default=40, help="number of synthetic people, 10 s each")
     parser.add_argument("--affine", action="store_true", help="score affine_ik, which takes minutes, too")
     parser.add_argument("--save", action="store_true", help="write the mean figures into the maps' files")
     parser.add_argument("--recordings", nargs="*", type=Path, default=[])
