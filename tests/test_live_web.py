@@ -223,6 +223,22 @@ def test_another_hand_drops_who_moved_the_robot_but_not_who_watches():
     assert operated.simulated_person
 
 
+def test_a_watched_trial_goes_on_while_its_page_connects_again():
+    """Loading a scene may keep a slow page from answering; a new trial would make it load the next scene."""
+    operated = station()
+    operated.join(1)
+    operated.take(1, hello(device="simulated"))
+    operated.leave(1)
+    assert operated.operator is None and operated.simulated_person
+    operated.join(2)
+    operated.take(2, hello(device="simulated"))
+    assert operated.simulated_person
+    operated.leave(2)
+    operated.join(3)
+    operated.take(3, hello(device="camera"))
+    assert not operated.simulated_person
+
+
 def toy(p_HK: np.ndarray) -> np.ndarray:
     """Moves all joints with the middle fingertip, now and then beyond their limits."""
     return np.full(len(toy.joint_names), 20.0 * (p_HK[12, 2] - 0.1))

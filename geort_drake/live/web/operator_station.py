@@ -91,6 +91,8 @@ class OperatorStation:
         about: facts about the robot.
         commands: the operator's commands, oldest first.
         operator: the page that operates the robot; None if there is none.
+        simulated_person: whether the operator, or the last one, watches a simulated person instead of moving
+            the robot. A busy page that loses its connection finds the same trial when it is back.
         received, refused: number of hands passed on, and of messages that could not be used.
         last_refusal: why the last of them could not be used.
         refusing: why the operator's newest hand was refused, or "".
@@ -117,14 +119,9 @@ class OperatorStation:
         self.last_refusal = self.refusing = ""
         self.fist = 0.0
         self.p_HK: np.ndarray | None = None
+        self.simulated_person = False
         self._hands: deque[bytes] = deque(maxlen=_MAX_HANDS)
         self._people: set[int] = set()
-
-    @property
-    def simulated_person(self) -> bool:
-        """Whether the operator watches a simulated person instead of moving the robot."""
-        operator = self.operator
-        return operator is not None and operator.device == "simulated"
 
     @property
     def spectators(self) -> int:
@@ -209,6 +206,7 @@ class OperatorStation:
         if wanted and self.operator is None:
             if hello.device == "recording" and self._play is not None:
                 self._played = self._played or self._play()
+            self.simulated_person = hello.device == "simulated"
             self.operator = Operator(person, hello.device, HandReader(hello.side, hello.hand_length))
         return self.welcome(person)
 
