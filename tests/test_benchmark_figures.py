@@ -90,6 +90,13 @@ def test_success_with_independent_trials_has_wilsons_interval_with_students_quan
     assert np.isnan(bounded_interval(np.ones(1), []).low) and np.isnan(bounded_interval(np.ones(0), []).mean)
 
 
+def test_an_interval_contains_its_mean_although_numbers_are_rounded():
+    for number in range(2, 60):
+        for values in (np.ones(number), np.zeros(number)):
+            mean, low, high = bounded_interval(values, [])
+            assert low <= mean <= high
+
+
 def test_objects_that_always_fail_widen_the_interval():
     """Three of ten objects: as wide as ten trials allow, not as three hundred would."""
     rows = [trial(thing=f"o{k}", seed=s, time=None if k < 3 else 5.0) for k in range(10) for s in range(30)]

@@ -121,7 +121,8 @@ def bounded_interval(values: np.ndarray, clusters: Sequence[np.ndarray]) -> Inte
     width = 1 + square / effective
     centre = (p + square / (2 * effective)) / width
     half = np.sqrt(square * (p * (1 - p) / effective + square / (4 * effective**2))) / width
-    return Interval(p, max(centre - half, 0.0), min(centre + half, 1.0))
+    # The interval contains p, but for rounding.
+    return Interval(p, float(np.clip(centre - half, 0.0, p)), float(np.clip(centre + half, p, 1.0)))
 
 
 def time_interval(frame: pd.DataFrame, clusters: Sequence[np.ndarray]) -> Interval:
