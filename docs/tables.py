@@ -9,6 +9,7 @@ The result stands between the two lines and is committed, so that every page is 
 """
 
 import ast
+import csv
 import io
 import os
 import re
@@ -282,6 +283,55 @@ def hands_by_name_table() -> str:
         motion = f"{figures['motion']:.2f}"
         rows.append(f"| {names} | {len(each.joint_names)} | {motion} | {closed} | {collision} |")
     return "\n".join(rows)
+
+
+TASKS = ("grasp", "pick_place", "peg", "keys", "cap")
+
+
+def tasks_overview_table() -> str:
+    """A Markdown table of successes of trials by method and task, from docs/results/tasks.csv."""
+    counts = _trial_counts("task")
+    rows = [f"| method | {' | '.join(TASKS)} | all |", f"|---|{'---|' * len(TASKS)}---|"]
+    for method, by_task in sorted(
+        counts.items(), key=lambda item: -sum(done for done, _ in item[1].values())
+    ):
+        cells = [by_task[task] for task in TASKS]
+        cells.append((sum(done for done, _ in cells), sum(number for _, number in cells)))
+        rows.append(f"| `{method}` | {' | '.join(f'{done} of {number}' for done, number in cells)} |")
+    return "\n".join(rows)
+
+
+def task_table(task: str) -> str:
+    """A Markdown table of a task: successes and mean score by method and kind of person."""
+    kinds = ("adaptive", "mimicry", "servo")
+    rows = [f"| method | {' | '.join(kinds)} |", f"|---|{'---|' * len(kinds)}"]
+    for method in dict.fromkeys(row["method"] for row in _trial_rows()):
+        cells = []
+        for kind in kinds:
+            trials = [
+                row
+                for row in _trial_rows()
+                if (row["task"], row["kind"], row["method"]) == (task, kind, method)
+            ]
+            done = sum(row["success"] == "1" for row in trials)
+            score = sum(float(row["score"]) for row in trials) / len(trials)
+            cells.append(f"{done} of {len(trials)}, {score:.2f}")
+        rows.append(f"| `{method}` | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
+def _trial_counts(column: str) -> dict[str, dict[str, tuple[int, int]]]:
+    """Returns the numbers of successes and of trials by method and by a column."""
+    counts: dict[str, dict[str, tuple[int, int]]] = {}
+    for row in _trial_rows():
+        done, number = counts.setdefault(row["method"], {}).get(row[column], (0, 0))
+        counts[row["method"]][row[column]] = done + (row["success"] == "1"), number + 1
+    return counts
+
+
+def _trial_rows() -> list[dict[str, str]]:
+    with open(ROOT / "docs" / "results" / "tasks.csv", encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def _hands() -> list:

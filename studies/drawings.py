@@ -4,6 +4,7 @@ python studies/drawings.py --output docs/images
 """
 
 import argparse
+import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -217,6 +218,44 @@ def draw_results() -> Figure:
     return figure
 
 
+def draw_tasks() -> Figure:
+    """Shares of trials in which people succeed through each method, by task, from docs/results/tasks.csv."""
+    with open(
+        Path(__file__).parents[1] / "docs" / "results" / "tasks.csv", encoding="utf-8", newline=""
+    ) as file:
+        rows = list(csv.DictReader(file))
+    names = {
+        "grasp": "grasp",
+        "pick_place": "pick and place",
+        "peg": "peg in hole",
+        "keys": "press keys",
+        "cap": "turn a cap",
+    }
+    methods = sorted(
+        {row["method"] for row in rows},
+        key=lambda method: -sum(row["success"] == "1" for row in rows if row["method"] == method),
+    )
+    figure, axes = plt.subplots(1, len(names), figsize=(10.4, 2.4), sharey=True)
+    for each, (task, title) in zip(axes, names.items(), strict=True):
+        done, number = [], []
+        for method in methods:
+            trials = [row["success"] == "1" for row in rows if (row["task"], row["method"]) == (task, method)]
+            done.append(sum(trials))
+            number.append(len(trials))
+        shares = np.array(done) / number
+        colours = [ROBOT if method == "universal" else PALE for method in methods]
+        bars = each.barh(methods, shares, color=colours)
+        labels = [f"{a} of {b}" for a, b in zip(done, number, strict=True)]
+        each.bar_label(bars, labels, padding=3, fontsize=8, color=INK)
+        each.set_xlim(0, 1.45)
+        each.set_title(title, fontsize=9.5, color=INK)
+        each.spines[["top", "right", "bottom", "left"]].set_visible(False)
+        each.tick_params(left=False, bottom=False, labelbottom=False, labelsize=8, labelcolor=INK)
+    axes[0].invert_yaxis()
+    figure.tight_layout()
+    return figure
+
+
 def arrow(axes: Axes, start: Sequence[float], end: Sequence[float], colour: str) -> None:
     """Draws an arrow between two points of the data's coordinates."""
     patch = FancyArrowPatch(
@@ -245,6 +284,7 @@ DRAWINGS = {
     "pipeline": draw_pipeline,
     "criteria": draw_criteria,
     "results": draw_results,
+    "tasks": draw_tasks,
 }
 
 
