@@ -58,33 +58,35 @@ class GraspSettings:
     drop_time: float = 0.1
 
 
+# What each phase says of the moment in which a trial ended.
 _ENDINGS = {
-    GraspPhase.REACH: "no finger had touched the object",
-    GraspPhase.TOUCH: "only one finger had touched the object",
-    GraspPhase.GRASP: "two fingers or more had touched the object, but not lifted it",
-    GraspPhase.LIFT: "the object had been lifted, but not high enough",
-    GraspPhase.HOLD: "the object had been high enough, but not for long enough",
+    GraspPhase.REACH: "no finger touched the object",
+    GraspPhase.TOUCH: "only one finger touched the object",
+    GraspPhase.GRASP: "two fingers or more touched the object, but had not lifted it",
+    GraspPhase.LIFT: "the object was lifted, but not high enough",
+    GraspPhase.HOLD: "the object was high enough, but not for long enough",
 }
 
 
 _REASONS = {
-    "timeout": "the time was over",
-    "thrown": "the object fell or was pushed away",
-    "lost": "the object fell or was pushed away",
+    "timeout": "the time was over; at the end,",
+    "thrown": "the object fell or was pushed away; just before,",
+    "lost": "the object fell or was pushed away;",
 }
 
 
 def explained(outcome: str) -> str:
     """Returns in a sentence what the outcome of a failed trial such as "timeout: touch" means.
 
-    Of a task without such phases, the sentence names the step that was reached last.
+    It says how things stood at the end, not how far the person had come before. Of a task without such
+    phases, it names the step that was reached last.
     """
     ending, _, phase = outcome.partition(": ")
     if ending not in _REASONS:
         return outcome
     known = phase.upper() in GraspPhase.__members__
     last = _ENDINGS[GraspPhase[phase.upper()]] if known else f"the last step was: {phase}"
-    return f"{_REASONS[ending]}; until then, {last}"
+    return f"{_REASONS[ending]} {last}"
 
 
 def judgement(
