@@ -207,8 +207,12 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
 
 
 @pytest.mark.slow
+@pytest.mark.trial
 def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
-    """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages."""
+    """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages.
+
+    The person lives in real time, and grasps only where a core is free for the page and one for the server.
+    """
     goal = planned_goal("cylinder")
     frames, texts = [], {}  # the newest text of each type
 
