@@ -29,9 +29,8 @@ def shared(function: Callable) -> Callable:
         with locked(path, wait=True):
             result = path / "result.pickle"
             if not result.exists():
-                value = function(*arguments)
-                result.write_bytes(pickle.dumps(value))
-                return value
+                result.write_bytes(pickle.dumps(function(*arguments)))
+            # Also where it was computed: a copy's arrays may lie otherwise in memory, and then sum otherwise.
             return pickle.loads(result.read_bytes())  # noqa: S301  (written by this run)
 
     return functools.update_wrapper(call, function)
