@@ -62,7 +62,8 @@ def test_a_left_hands_contacts_are_mirrored(grip, name):
 def test_a_left_hand_is_simulated_as_the_mirror_image():
     """With the same person, seed and map, the left hand moves as the right one's mirror image.
 
-    Not to the last digit, as the arm's inverse kinematics is solved to a tolerance.
+    Not to the last digit, as the arm's inverse kinematics is solved to a tolerance. When the person's fingers
+    meet, at 1 s, such a difference decides whether they stick to each other or slide.
     """
     poses, angles, gloves = [], [], []
     still = "position_range: 0, yaw_range: 0, mass_range: 0"
@@ -76,7 +77,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
         hand = parts.plant.GetModelInstanceByName(HAND)
         base = parts.plant.GetFrameByName(parts.description.base_frame, hand)
         before = base.CalcPoseInWorld(context)
-        simulator.AdvanceTo(1.0)
+        simulator.AdvanceTo(0.9)
         poses.append((before, base.CalcPoseInWorld(context)))
         angles.append([parts.plant.GetJointByName(j, hand).get_angle(context) for j in model.joint_names])
         glove = parts.operator.GetOutputPort("keypoints")
@@ -87,7 +88,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
     opposite = np.where(np.isin(model.joint_names, ["joint_0", "joint_4", "joint_8"]), -1, 1)  # spread
     np.testing.assert_allclose(angles[1] * opposite, angles[0], atol=0.02)
     # Both persons are described as right hands.
-    np.testing.assert_allclose(gloves[1], gloves[0], atol=4e-3)
+    np.testing.assert_allclose(gloves[1], gloves[0], atol=2e-3)
 
 
 def test_leap_grasps():

@@ -231,8 +231,8 @@ def another_trial(*case: object, fails: str = ""):
     [
         ("keys", "affine_ik", "mimicry", KEYS, 1.0, 1.0),
         ("keys", "hold", "servo", KEYS, 0.0, 0.0),
-        ("cap", "affine_ik", "adaptive", "turn: 90", 1.0, 1.0),
-        ("pick_place", "universal", "adaptive", "", 1.0, 1.0),
+        ("cap", "affine_ik", "adaptive", "turn: 150", 1.0, 1.0),
+        ("pick_place", "affine_ik", "servo", "", 1.0, 1.0),
         ("peg", "affine_ik", "adaptive", "", 1.0, 1.0),
         another_trial("keys", "affine_ik", "adaptive", KEYS, 1.0, 1.0),
         another_trial("keys", "affine_ik", "adaptive", MORE_KEYS, 0.5, 1.0),
@@ -241,26 +241,23 @@ def another_trial(*case: object, fails: str = ""):
             *("pick_place", "universal", "servo", "", 1.0, 1.0),
             fails="the low block rolls about two contacts near its upper edge",
         ),
-        another_trial("pick_place", "affine_ik", "servo", "", 1.0, 1.0),
+        another_trial(
+            *("pick_place", "universal", "adaptive", "", 1.0, 1.0),
+            fails="the low block is picked up again and again until the time is over",
+        ),
         another_trial("peg", "affine_ik", "servo", "", 1.0, 1.0),
         another_trial("grasp", "affine_ik", "adaptive", "", 1.0, 1.0),
         another_trial("grasp", "affine_ik", "mimicry", "", 1.0, 1.0),
     ],
 )
 def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, settings, least, most):
-    """The map is affine; a hand that holds still does nothing.
-
-    Rounding decides between success and failure of some trials in which an object is let go, so one of two
-    seeds must succeed there.
-    """
-    timeout = "timeout: 14, " if task == "cap" else ""
-    text = f"{timeout}kind: {kind}, task_settings: {{{settings}}}"
-    result, attainable = attempt(task, method, f"{{{text}}}")
-    if task in ("pick_place", "peg") and not result.success:
-        result, attainable = attempt(task, method, f"{{{text}, random_seed: 1}}")
+    """The map is affine; a hand that holds still does nothing."""
+    timeout = "timeout: 24, " if task == "cap" else ""
+    result, attainable = attempt(task, method, f"{{{timeout}kind: {kind}, task_settings: {{{settings}}}}}")
     assert least <= result.score <= most and result.success == (method != "hold")
     assert (result.outcome == "success") == result.success
     assert task != "keys" or attainable == result.success
+    assert task != "cap" or not result.success or result.attempts > 1  # 150° are more than one stroke
 
 
 def test_a_person_learns_how_the_robots_fingertip_follows():
