@@ -2,7 +2,6 @@
 
 import os
 import re
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
@@ -345,7 +344,8 @@ def parse_model(plant: MultibodyPlant, path: Path) -> ModelInstanceIndex:
     parser.SetAutoRenaming(True)  # several hands of one model
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
-    for name in set(re.findall(r"package://([^/\"'<]+)/", ET.tostring(tree, encoding="unicode"))):
+    words = [word for element in tree.iter() for word in (element.text, *element.attrib.values()) if word]
+    for name in {found[1] for word in words if (found := re.search("package://([^/]+)/", word))}:
         if not packages.Contains(name):
             packages.Add(name, str(find_package(path, name)))
     try:

@@ -12,7 +12,13 @@ from pydrake.geometry import (
     SceneGraph,
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
-from pydrake.multibody.parsing import GetScopedFrameByName, ModelDirectives, Parser, ProcessModelDirectives
+from pydrake.multibody.parsing import (
+    FlattenModelDirectives,
+    GetScopedFrameByName,
+    ModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
@@ -143,7 +149,7 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
     parser = Parser(plant)
     parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
     try:
-        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
+        _process_directives(ModelDirectives(directives=scenario.directives), parser)
     except RuntimeError as error:
         raise ScenarioError(f"scenario field directives: {error}") from error
     if not plant.HasModelInstanceNamed(ARM):
@@ -157,6 +163,24 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
     _set_defaults(plant, arm, scenario.arm_posture, "scenario field arm_posture")
     if description.side == "left":
         _set_defaults(plant, arm, scenario.left_arm_posture, "scenario field left_arm_posture")
+
+
+def _process_directives(directives: ModelDirectives, parser: Parser) -> None:
+    """Does the same as `ProcessModelDirectives`, but reads SDF files by `add_models`, which is faster."""
+    plant, packages = parser.plant(), parser.package_map()
+    for directive in FlattenModelDirectives(directives, packages).directives:
+        model, weld = directive.add_model, directive.add_weld
+        if model and not (model.default_joint_positions or model.default_free_body_pose):
+            models = add_models(parser, packages.ResolveUrl(model.file))
+            if len(models) != 1:
+                raise RuntimeError(f"{model.file} contains {len(models)} models; expected one")
+            plant.RenameModelInstance(models[0], model.name)
+        elif weld:
+            parent, child = (GetScopedFrameByName(plant, name) for name in (weld.parent, weld.child))
+            X_PC = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
+            plant.WeldFrames(parent, child, X_PC)
+        else:
+            ProcessModelDirectives(ModelDirectives(directives=[directive]), parser)
 
 
 def add_object(plant: MultibodyPlant, name: str) -> RigidBody:
