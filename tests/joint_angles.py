@@ -7,6 +7,7 @@ from geort_drake.people.synthetic.hand import HumanHand
 
 EXACT = {"xtol": 1e-13, "ftol": 1e-13, "gtol": 1e-13}
 TIP_WEIGHT = 10.0  # over that of the other keypoints
+DIFFERENCE = 1e-7  # rad, of the finite differences
 
 
 def fitted_keypoints(hand: HumanHand, p_HK: np.ndarray) -> np.ndarray:
@@ -18,11 +19,15 @@ def fitted_keypoints(hand: HumanHand, p_HK: np.ndarray) -> np.ndarray:
     for frame in np.asarray(p_HK, float):
 
         def residuals(x, frame=frame):
-            return (weight * (hand.keypoints(x[None])[0] - frame)).ravel()
+            return (weight * (hand.keypoints(x) - frame)).ravel()
+
+        def jacobian(x):
+            ahead, behind = hand.keypoints(x + np.stack([DIFFERENCE * np.eye(20), -DIFFERENCE * np.eye(20)]))
+            return (weight * (ahead - behind) / (2 * DIFFERENCE)).reshape(20, -1).T
 
         # From the frame before and from the middle, as either may end in another minimum.
         starts = (np.clip(start, hand.lower + 1e-9, hand.upper - 1e-9) for start in (theta, middle))
-        solved = [least_squares(residuals, start, bounds=bounds, **EXACT) for start in starts]
+        solved = [least_squares(residuals, start, jacobian, bounds=bounds, **EXACT) for start in starts]
         theta = min(solved, key=lambda one: one.cost).x
-        found.append(hand.keypoints(theta[None])[0])
+        found.append(hand.keypoints(theta))
     return np.array(found)

@@ -13,6 +13,7 @@ from geort_drake.cli import run_command
 from geort_drake.people.checks import examine
 from geort_drake.people.coverage import PINCHES, coverage, finger_motions, pinch_distances, pinches
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
+from geort_drake.people.synthetic import protocol
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.protocol import DURATION_S, STEPS, demonstrate
 
@@ -127,9 +128,10 @@ def test_only_the_trained_fingers_are_measured(play):
     assert all(motion.enough for motion in finger_motions(play.p_HK))
 
 
-def test_the_demonstration_is_a_rerun_recording(tmp_path):
+def test_the_demonstration_is_a_rerun_recording(tmp_path, shown, monkeypatch):
     """The hand moves, and a lane names the steps in their order."""
     output = tmp_path / "protocol.rrd"
+    monkeypatch.setattr(protocol, "demonstrate", lambda seed: shown)
     run_command("recording protocol", ["--output", str(output)])
     steps: list[str] = []
     drawn = 0
