@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pydrake.common.deprecation  # noqa: F401  (registers its warning class for the filters)
 import pytest
-from shared import FOLDER, shared
+from shared import FOLDER, synthesized
 
 GLOVE_DIR = Path(__file__).resolve().parents[2] / "shared" / "glove"
 
@@ -79,14 +79,6 @@ def alex_npy() -> Path:
 def manus_npz() -> Path:
     """A raw MANUS recording: (5000, 25, 7) px py pz qw qx qy qz with Unix timestamps."""
     return _recording_file("manus_right_subject-000_run-010.npz")
-
-
-@shared
-def synthesized(seed: int, duration_s: float, rate_hz: float):
-    """Synthetic play, a `Recording`."""
-    from geort_drake.people.synthetic.play import synthesize_play
-
-    return synthesize_play(seed, duration_s, rate_hz)
 
 
 @pytest.fixture(scope="session")

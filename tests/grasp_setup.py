@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
-from shared import shared
+from shared import shared, synthesized
 
-from geort_drake import Hand, Recording, load_scenario, run_trial, synthesize_play
+from geort_drake import Hand, Recording, load_scenario, run_trial
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.people.synthetic.hand import HumanHand
@@ -36,10 +36,9 @@ def allegro() -> Hand:
     return Hand("allegro_right")
 
 
-@shared
 def play() -> Recording:
     """A minute of synthetic play."""
-    return synthesize_play(seed=0, duration_s=60)
+    return synthesized(0, 60.0, 120.0)
 
 
 @cache
@@ -61,9 +60,21 @@ SEARCH = GraspPlanner.plans
 
 
 @shared
+def planned_grasp(object_name: str) -> tuple[GraspGoal, dict[str, float]]:
+    """The planned grasp of an object in the shipped scenario, and the robot's joint angles in it, rad."""
+    planner = GraspPlanner(scenario_with(object_name), allegro().description)
+    # The goal does not hold the whole posture.
+    robot, tried = planner._kinematics, []
+    hand_pose = robot.hand_pose
+    robot.hand_pose = lambda q: tried.append(q) or hand_pose(q)
+    goal = SEARCH(planner, 2)[0]
+    q = next(q for q in tried if hand_pose(q).IsExactlyEqualTo(goal.X_OB))
+    return goal, robot.joint_positions(q)
+
+
 def planned_goal(object_name: str) -> GraspGoal:
-    """The planned grasp of an object in the shipped scenario, whatever stands in for the planner."""
-    return SEARCH(GraspPlanner(scenario_with(object_name), allegro().description), 2)[0]
+    """That grasp, whatever stands in for the planner."""
+    return planned_grasp(object_name)[0]
 
 
 def human_with(object_name: str = "cylinder", **changes) -> tuple[HumanHand, GraspGoal]:

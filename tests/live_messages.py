@@ -3,8 +3,8 @@
 import json
 
 import numpy as np
+from shared import synthesized
 
-from geort_drake import synthesize_play
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.web.hands import _VIEW_RAD
@@ -89,7 +89,7 @@ def manus_glove(p_WN: np.ndarray, side: str = "Right", glove_id: int = 7) -> dic
     return {"glove_id": glove_id, "side": side, "raw_node_count": 25, "raw_nodes": nodes[::-1]}
 
 
-PLAY = synthesize_play(4, duration_s=6.0, rate_hz=60.0)
+PLAY = synthesized(4, 6.0, 60.0)
 # W has x forward, y left, z up. A headset's space: x right, y up, z back. A camera that a person faces: x in
 # its picture is the person's left, y down, z back.
 R_SW = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])

@@ -170,7 +170,7 @@ PINCH = {"curl": [0.8, 0.15, 0.1, 0.1], "thumb": [-0.44, 0.15, -0.03, 0.36, 0.09
 CURL = {"curl": [0.8, 0.8, 0.8, 0.8], "thumb": [0.0, 0.0, 0.0, 0.0, 0.0], "turn": [0.2, 0.3, 0.1]}
 
 
-def film_hand(browser, file: Path, pictures: int = 6, repeats: int = 3) -> np.ndarray:
+def film_hand(browser, file: Path, pictures: int = 4, repeats: int = 3) -> np.ndarray:
     """Films the rendered hand as it pinches and curls, into Motion JPEG at 30 pictures a second.
 
     Each of a movement's `pictures` comes `repeats` times. A row of squares in it is its number in binary.

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from geort_drake import Recording, synthesize_play
 from geort_drake.files import locked
 
 # Names the folder of the run's results; processes started by the run inherit it.
@@ -34,3 +35,9 @@ def shared(function: Callable) -> Callable:
             return pickle.loads(result.read_bytes())  # noqa: S301  (written by this run)
 
     return functools.update_wrapper(call, function)
+
+
+@shared
+def synthesized(seed: int, duration_s: float, rate_hz: float) -> Recording:
+    """Synthetic play; do not change its arrays."""
+    return synthesize_play(seed, duration_s, rate_hz)

@@ -108,8 +108,8 @@ def filmed(playwright, browser, address, tmp_path_factory):
     camera = launch(playwright, file)
     page = open_page(camera, stub, f"{address}/#key", "test/read_numbers.js")
     page.wait_for_selector("body[data-state=tracking]")
-    # Of a whole run of the film, which takes 3 s.
-    until(page, lambda: len(seen := stub.of("camera")) >= 30 and seen[-1]["t"] - seen[0]["t"] > 3.2)
+    # Of a whole run of the film, which takes 2 s.
+    until(page, lambda: len(seen := stub.of("camera")) >= 20 and seen[-1]["t"] - seen[0]["t"] > 2.2)
     messages = stub.of("camera")
     numbers = dict(page.evaluate("numbers"))
     camera.close()
@@ -270,7 +270,7 @@ def test_the_end_of_a_task_offers_a_clip_of_the_attempt(browser, stub, address):
 
 
 def test_a_simulated_person_is_watched_without_a_camera(browser, stub, address):
-    page = open_page(browser, stub, f"{address}/#key")
+    page = open_page(browser, stub, f"{address}/#key", NO_PICTURES)
     page.click("#simulated")
     until(page, lambda: stub.of("hello")[-1]["device"] == "simulated")
     page.wait_for_selector("#headline:has-text('gets ready')")

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from live_messages import Clock, Inbox, nodes_of, own_fields
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from shared import synthesized
 from system_bench import SystemBench, Watch, joint_plant
 
-from geort_drake import read_recording, synthesize_play
+from geort_drake import read_recording
 from geort_drake.errors import LiveError, MismatchError, RecordingError
 from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream, SenderClock
 from geort_drake.live.messages import GloveFrame, encode_frame
@@ -25,7 +26,7 @@ from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_status import FROZEN, HELD_LOST, HELD_STALE, LIMITED
 from geort_drake.systems.retargeting_system import SETTLING, TRACKING, RetargetingStatus, RetargetingSystem
 
-PLAY = synthesize_play(4, duration_s=6.0, rate_hz=100.0)
+PLAY = synthesized(4, 6.0, 100.0)
 PERIOD = 0.01
 
 

@@ -5,11 +5,11 @@ import pytest
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from shared import synthesized
 from system_bench import Bench, Watch
 
 from geort_drake import GloveReplay, Recording, RetargetingSystem, add_hand_model, load_hand, load_retargeter
 from geort_drake.errors import GeortError
-from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
@@ -24,7 +24,7 @@ from geort_drake.systems.retargeting_status import (
 )
 
 RETARGET = load_retargeter("allegro_right")
-PLAY = synthesize_play(seed=1, duration_s=12.0, rate_hz=100.0).p_HK.astype(float)
+PLAY = synthesized(1, 12.0, 100.0).p_HK.astype(float)
 OTHER = 1.15 * PLAY
 
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import yaml
 from joint_angles import fitted_keypoints
+from shared import synthesized
 
-from geort_drake import Recording, read_recording, synthesize_play
+from geort_drake import read_recording, synthesize_play
 from geort_drake.people.checks import examine
 from geort_drake.people.coverage import fingertip_speeds, pinch_distances, tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, wrist_pose
@@ -40,7 +41,7 @@ def statistics(recording):
 
 @pytest.fixture(scope="module")
 def play():
-    return synthesize_play(0)
+    return synthesized(0, 300.0, 120.0)
 
 
 @pytest.mark.parametrize(("name", "fixture"), [("GeoRT", "alex_npy"), ("MANUS", "manus_npz")])
@@ -53,7 +54,7 @@ def test_the_table_of_real_figures_is_right(name, fixture, request):
 
 @pytest.fixture(scope="module")
 def other_play():
-    return synthesize_play(7, rate_hz=30.0)
+    return synthesized(7, 300.0, 30.0)
 
 
 @pytest.mark.parametrize("fixture", ["play", "other_play"])
@@ -133,21 +134,44 @@ def test_a_hand_that_cannot_pinch_plays_without_pinches():
     assert (made["speed_p95"][1:] > 100).all()
 
 
-def measures(recording):
-    """Shape, extents, speeds and pinches of a recording, each a number with a name; m, m/s."""
-    p_HK = recording.p_HK[recording.valid].astype(float)
+def valid_frames(recording):
+    return recording.p_HK[recording.valid].astype(float)
+
+
+def lengths_of(p_HK):
+    """Lengths of the fingers (5,) without their metacarpals, m."""
+    return np.median(bone_lengths(p_HK), axis=0).reshape(5, 4)[:, 1:].sum(axis=1)
+
+
+def hand_measures(recording):
+    """Lengths and knuckles of a recorded hand, each a number with a name, m."""
+    p_HK = valid_frames(recording)
+    knuckle = np.median(p_HK[:, 1::4], axis=0)
+    return by_finger(
+        {"length": lengths_of(p_HK), **{f"knuckle {axis}": knuckle[:, i] for i, axis in enumerate("xyz")}}
+    )
+
+
+def motion_measures(recording):
+    """Extents, speeds and pinches of a recording, each a number with a name; m, m/s."""
+    p_HK = valid_frames(recording)
     chain = p_HK[:, 1:].reshape(-1, 5, 4, 3)
-    length = np.median(bone_lengths(p_HK), axis=0).reshape(5, 4)[:, 1:].sum(axis=1)
+    length = lengths_of(p_HK)
     extents = np.percentile((chain[:, :, 3] - chain[:, :, 0]) / length[:, None], (3, 97), axis=0)
-    named = {
-        "length": length,
-        **{f"knuckle {axis}": np.median(chain[:, :, 0], axis=0)[:, i] for i, axis in enumerate("xyz")},
-        **{f"lowest {axis}": extents[0, :, i] for i, axis in enumerate("xyz")},
-        **{f"highest {axis}": extents[1, :, i] for i, axis in enumerate("xyz")},
-        "median speed": np.median(fingertip_speeds(recording), axis=0),
-        "95th percentile of speed": np.percentile(fingertip_speeds(recording), 95, axis=0),
-        "closest pinch": np.append(np.nan, np.percentile(tip_distances(p_HK), 0.5, axis=0)),
-    }
+    speed = fingertip_speeds(recording)
+    return by_finger(
+        {
+            **{f"lowest {axis}": extents[0, :, i] for i, axis in enumerate("xyz")},
+            **{f"highest {axis}": extents[1, :, i] for i, axis in enumerate("xyz")},
+            "median speed": np.median(speed, axis=0),
+            "95th percentile of speed": np.percentile(speed, 95, axis=0),
+            "closest pinch": np.append(np.nan, np.percentile(tip_distances(p_HK), 0.5, axis=0)),
+        }
+    )
+
+
+def by_finger(named):
+    """Figures with names, of five fingers each, as numbers with the fingers' names."""
     every = {
         f"{finger} {what}": value
         for what, values in named.items()
@@ -158,13 +182,6 @@ def measures(recording):
     return {name: value for name, value in every.items() if name not in fixed}
 
 
-def recorded(count, duration_s):
-    """The first people of the population, recorded at 30 Hz."""
-    population = sample_population(count, 0, duration_s)
-    t = np.arange(population.shape[1]) / 30
-    return [Recording(t, p_HK, np.ones(len(t), bool)) for p_HK in population]
-
-
 @pytest.fixture(scope="module")
 def population_range():
     """Least and largest measures: of the motion of 100 people in eight seconds each, of 500 people's hands.
@@ -172,13 +189,16 @@ def population_range():
     The range of motion is widened by a twentieth on both sides, as so few and short recordings narrow it.
     Real measures lie inside the unwidened range of 500 people in 20 s each.
     """
-    motion, hands = ([measures(person) for person in recorded(*each)] for each in ((100, 8.0), (500, 0.2)))
+    people = [sample_person(0, number).record(8.0 if number < 100 else 0.2, 30.0) for number in range(500)]
     result = {}
-    for name in motion[0]:
-        of_hand = name.split()[1] in ("length", "knuckle")
-        values = [row[name] for row in (hands if of_hand else motion)]
-        margin = 0.0 if of_hand else 0.05 * np.ptp(values)
-        result[name] = (min(values) - margin, max(values) + margin)
+    for rows, widening in (
+        ([motion_measures(person) for person in people[:100]], 0.05),
+        ([hand_measures(person) for person in people], 0.0),
+    ):
+        for name in rows[0]:
+            values = [row[name] for row in rows]
+            margin = widening * np.ptp(values)
+            result[name] = (min(values) - margin, max(values) + margin)
     return result
 
 
@@ -186,7 +206,8 @@ def population_range():
 @pytest.mark.parametrize("fixture", ["alex_npy", "manus_npz"])
 def test_real_recordings_lie_inside_the_population(fixture, population_range, request):
     """All measures are between the least and the largest of the population."""
-    real = measures(read_recording(request.getfixturevalue(fixture)))
+    recording = read_recording(request.getfixturevalue(fixture))
+    real = hand_measures(recording) | motion_measures(recording)
     outside = [name for name, (low, high) in population_range.items() if not low < real[name] < high]
     assert outside == []
 

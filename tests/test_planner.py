@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from grasp_setup import allegro, scenario_with
+from grasp_setup import allegro, planned_grasp, scenario_with
 from hand_family import HandSpec, write_hand
 from model_scene import Scene
 from pydrake.geometry import QueryObject, Role
@@ -113,13 +113,7 @@ def test_an_object_too_low_for_a_hands_fingertips_is_refused_before_the_trial():
 def test_a_planned_grasp_touches_and_nothing_collides(name):
     """In the planned posture, in a plant without collision filters, only fingertips meet the object."""
     scenario, description = scenario_with(name), load_hand("allegro_right")
-    planner = GraspPlanner(scenario, description)
-    # The goal does not hold the whole posture.
-    robot, tried = planner._kinematics, []
-    hand_pose = robot.hand_pose
-    robot.hand_pose = lambda q: tried.append(q) or hand_pose(q)
-    goal = planner.plans(2)[0]
-    planned = robot.joint_positions(next(q for q in tried if hand_pose(q).IsExactlyEqualTo(goal.X_OB)))
+    goal, planned = planned_grasp(name)
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
     add_robot(plant, scenario, description)
@@ -197,8 +191,9 @@ def test_links_that_are_close_at_rest_do_not_forbid_every_posture():
 
 
 @pytest.mark.parametrize("name", ["cube", "bottle"])
-def test_a_hand_with_a_forearm_and_close_fingers_that_cannot_spread_grasps(name, tmp_path):
+def test_a_hand_with_a_forearm_and_close_fingers_that_cannot_spread_grasps(name, tmp_path, monkeypatch):
     """Its fingers bend in one plane; the forearm is thicker than the palm and lies on the arm."""
+    monkeypatch.setattr("geort_drake.simulation.plan.grasp._TRIES", 4)
     narrow = {'lower="-0.3" upper="0.3"': 'lower="-0.01" upper="0.01"'}
     model = write_hand(tmp_path, HandSpec(5, "urdf", mimic=True, forearm=0.2), changes=narrow)
     description = propose(model)[0]

@@ -1,12 +1,12 @@
 """Valid inputs for fault injection: a recording, a retargeter for it, and its file."""
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 from grasp_setup import allegro
+from shared import synthesized
 
-from geort_drake import Recording, synthesize_play
+from geort_drake import Recording
 from geort_drake.retargeting.clouds import TrainedSpace
 from geort_drake.retargeting.mlp import MlpRetargeter
 
@@ -16,10 +16,9 @@ JOINTS = tuple(f"{finger}_{number}" for finger in FINGERS for number in range(4)
 LOWER, UPPER = np.full(16, -0.4), np.full(16, 1.6)
 
 
-@cache
 def play() -> Recording:
     """Twelve seconds at 100 Hz, shared: do not change them."""
-    return synthesize_play(4, duration_s=12.0, rate_hz=100.0)
+    return synthesized(4, 12.0, 100.0)
 
 
 def smooth_arrays(gain: float = 1.0) -> dict[str, np.ndarray]:

@@ -15,6 +15,7 @@ from joblib.externals.loky import get_reusable_executor
 from light_training import train_lightly
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
+from shared import synthesized
 
 from faults.sound import play, smooth_retargeter
 from geort_drake import GloveReplay, Recording
@@ -29,14 +30,12 @@ ROW_ID = "rerun.controls.RowId"
 
 def generate(seed: int) -> None:
     """A synthetic recording."""
-    run_command("recording synthesize", ["--output", "play.npz", "--duration", "20", "--seed", str(seed)])
+    run_command("recording synthesize", ["--output", "play.npz", "--duration", "5", "--seed", str(seed)])
 
 
 def train(seed: int) -> None:
     """A trained map."""
-    from geort_drake.people.synthetic.play import synthesize_play
-
-    recording = synthesize_play(0, duration_s=20.0, rate_hz=30.0)
+    recording = synthesized(0, 20.0, 30.0)
     train_lightly("allegro_right", recording, Path("trained.safetensors"), "geort", seed)
 
 
