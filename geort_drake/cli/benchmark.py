@@ -73,7 +73,7 @@ class Benchmark(Command, ScenarioOptions):
     measure_latency: bool = False
     """simulate every method with the latency that is measured on this machine, instead of the scenario's"""
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
-    """recording of the person's hand (default: synthetic play)"""
+    """recording of the person's hand (default: an average adult's)"""
     operator: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of the person who operates, such as another session or person (default: --recording)"""
     vary: Annotated[tuple[str, ...], arg(metavar="FIELD=V1,V2 ...")] = ()
@@ -81,7 +81,7 @@ class Benchmark(Command, ScenarioOptions):
     side: Side | None = None
     """side of the recorded hand (default: the robot hand's)"""
     seed: Seed = 0
-    """seed of training and synthetic play"""
+    """seed of training, and of the play on which to train without a recording"""
     submit: Annotated[str | None, arg(metavar="METHOD")] = None
     """add a method to the benchmark in --output, with its people, objects, seeds and settings"""
     report: bool = False

@@ -60,7 +60,7 @@ class Grasp(Command, ScenarioOptions):
     trials: Annotated[int, arg(metavar="N"), COUNT] = 1
     """trials per object, each with its own seed"""
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
-    """recording of the person's hand (default: synthetic play)"""
+    """recording of the person's hand (default: an average adult's)"""
     side: Side | None = None
     """side of the recorded hand (default: the robot hand's)"""
     retargeter: Annotated[str | None, arg(metavar="NAME")] = None
@@ -68,7 +68,7 @@ class Grasp(Command, ScenarioOptions):
     device: Literal["cpu", "cuda"] = "cpu"
     """where to train"""
     seed: Seed = 0
-    """seed of training and synthetic play"""
+    """seed of training, and of the play on which to train without a recording"""
     replay: Annotated[Path | None, arg(metavar="FILE")] = None
     """replay this recording, with its wrist poses, instead of the simulated person; a session is replayed
     with its own task, object and seed"""
@@ -97,16 +97,17 @@ class Grasp(Command, ScenarioOptions):
         method = self.retargeter or default_method(hand)
         names_of([method], hand)  # refuses an unusable one
         scenarios = self.scenarios_of(base, replay)
-        recording = training_recording(self.recording, self.side or hand.description.side, self.seed)
+        side = self.side or hand.description.side
+        recording = training_recording(self.recording, side) if self.recording else None
 
         # Plans before training, because planning shows whether the robot can grasp the objects at all.
         builder = TrialBuilder(hand, recording)
         if replay is None:
             scenarios = _feasible(builder, scenarios)
         retarget, path = resolve(method, hand, recording, self.seed, self.device)
-        motion = str(self.recording or f"synthetic play, seed {self.seed}")
-        say(f"Human motion: {motion}")
-        say(f"Retargeter:   {_origin(method, retarget, path)}")
+        person = str(self.recording or "an average adult")
+        say(f"Person:     {person}")
+        say(f"Retargeter: {_origin(method, retarget, path)}")
         session = replay.metadata if replay else {}
         properties = {"method": method, "hand": hand.description.name}
         if path is not None and (info := getattr(retarget, "info", None)) is not None:
@@ -114,8 +115,8 @@ class Grasp(Command, ScenarioOptions):
         properties |= {f"session_{name}": json_format.dumps(value) for name, value in session.items()}
         report = {
             "version": __version__,
-            "human_motion": motion,
-            "recording_sha256": recording.digest,
+            "person": person,
+            "recording_sha256": recording.digest if recording else None,
             "retargeter": str(path or method),
             "session": session,
         }

@@ -66,13 +66,14 @@ class TrialBuilder:
 
     Args:
         hand: model of the robot's hand.
-        recording: recording of the hand of person 0, see `Scenario.person`.
+        recording: recording of the hand of person 0, see `Scenario.person`; by default `measured_adult`'s.
     """
 
-    def __init__(self, hand: Hand, recording: Recording):
-        self._hand, self._recording = hand, recording
+    def __init__(self, hand: Hand, recording: Recording | None = None):
+        self._hand = hand
         self._plans: dict[str, Sequence[Goal]] = {}
-        self._people: dict[int, HumanHand] = {}
+        first = HumanHand.fit(recording) if recording else HumanHand.measured_adult()
+        self._people: dict[int, HumanHand] = {0: first}
         # The maps by whose identity a practice is found are kept with it.
         self._practice: dict[tuple, tuple[Retarget, Retarget, FreePlay]] = {}
 
@@ -94,10 +95,7 @@ class TrialBuilder:
     def person(self, number: int) -> HumanHand:
         """Returns the hand of a person of the population by `Scenario.person`."""
         if number not in self._people:
-            sampled = (
-                sample_person(0, number).hand.in_wrist_frame() if number else HumanHand.fit(self._recording)
-            )
-            self._people[number] = sampled
+            self._people[number] = sample_person(0, number).hand.in_wrist_frame()
         return self._people[number]
 
     def trial(self, scenario: Scenario, retarget: Retarget) -> Trial:

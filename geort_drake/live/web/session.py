@@ -23,7 +23,6 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import Scene, measured_poses
 from geort_drake.live.web.watched_trial import make_watched_trial
 from geort_drake.retargeting.base import Retarget
-from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.following import RobotModel, robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
@@ -166,8 +165,7 @@ class WebTeleoperation:
         scenario.random_seed += self._watched
         self._watched += 1
         if self._builder is None:
-            recording = training_recording(None, setup.description.side, 0)
-            self._builder = TrialBuilder(Hand(setup.description), recording)
+            self._builder = TrialBuilder(Hand(setup.description))
         trial = make_watched_trial(self._builder, scenario, setup.retarget)
         parts = trial.parts
         scene = Scene(parts.plant, parts.stage.scene.scene_graph.model_inspector(), setup.description)

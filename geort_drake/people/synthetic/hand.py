@@ -8,7 +8,9 @@ the bone by a fixed twist. A finger thus bends in a plane, and its forward kinem
 """
 
 import dataclasses
+import json
 from collections.abc import Sequence
+from importlib.resources import files
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -201,6 +203,16 @@ class HumanHand:
             lower=np.deg2rad(_LIMITS_DEG[..., 0]).reshape(20),
             upper=np.deg2rad(_LIMITS_DEG[..., 1]).reshape(20),
         )
+
+    @classmethod
+    def measured_adult(cls) -> "HumanHand":
+        """Returns an average adult's hand as it is measured from a recording.
+
+        This is the `fit` to `synthesize_play(seed=0)`, stored because the play takes many seconds and because
+        a stored hand has the same last digits on every machine.
+        """
+        stored = json.loads(files(__package__).joinpath("adult.json").read_text())
+        return cls(**{name: np.array(values) for name, values in stored.items()})
 
     @classmethod
     def fit(cls, recording: Recording) -> "HumanHand":
