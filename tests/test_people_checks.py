@@ -3,6 +3,8 @@
 import dataclasses as dc
 import re
 import warnings
+from collections import Counter
+from itertools import combinations
 
 import glove_files as gloves
 import numpy as np
@@ -18,8 +20,9 @@ from geort_drake.people.checks import (
     require_wrist_frame_hand,
     training_faults,
 )
-from geort_drake.people.keypoints import mirrored
+from geort_drake.people.keypoints import FINGER_KEYPOINTS, mirrored, to_wrist_frame
 from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.population import sample_person
 
 
 def keypoints(change):
@@ -195,3 +198,48 @@ def test_sound_people_are_accepted_in_every_posture():
     for theta in (np.zeros(20), 0.9 * hand.upper, 0.9 * hand.lower):
         require_wrist_frame_hand(hand.keypoints(theta))
     require_wrist_frame_hand(synthesize_play(0, 5.0, 30.0).p_HK)
+
+
+def measured_hands(count, frames):
+    """Hands (T, 21, 3), m, of synthetic people as devices see them, between two postures of their range."""
+    rng, share = np.random.default_rng(0), np.linspace(0.0, 1.0, frames)[:, None]
+    for number in range(count):
+        person = sample_person(1000, number)
+        first, last = person.hand.lower + rng.uniform(size=(2, 20)) * (person.hand.upper - person.hand.lower)
+        theta = (1.0 - share) * first + share * last
+        yield person.device.measure(person.hand.keypoints(theta), 30.0, rng)
+
+
+def swapped(a, b):
+    order = list(range(21))
+    for i, j in zip(FINGER_KEYPOINTS[a], FINGER_KEYPOINTS[b], strict=True):
+        order[i], order[j] = j, i
+    return order
+
+
+def adjacent(joint):
+    return [{joint: joint + 1, joint + 1: joint}.get(i, i) for i in range(21)]
+
+
+def test_no_measured_person_is_refused():
+    """In any posture of their range, by the cheapest camera; 200 people, each by 30 frames."""
+    for p_HK in measured_hands(200, 30):
+        require_wrist_frame_hand(p_HK)
+
+
+def test_what_is_wrong_with_a_measured_person_is_refused():
+    """Other units, mirrored axes, another side, published orders, exchanged fingers and joints."""
+    orders = [*list(ORDERS.values())[1:], *(adjacent(joint) for joint in (1, 2, 3, 5, 6, 7, 18))]
+    orders += [swapped(*pair) for pair in combinations(FINGER_KEYPOINTS, 2)]
+    accepted: Counter = Counter()
+    for p_HK in measured_hands(30, 30):
+        wrong = {scale: scale * p_HK for scale in (1e3, 1e2, 10.0, 1 / 0.0254)}
+        wrong |= {"mirrored axes": p_HK * [-1, 1, 1], "left": to_wrist_frame(mirrored(p_HK))}
+        wrong |= {str(order): p_HK[:, order] for order in orders}
+        for fault, p in wrong.items():
+            try:
+                require_wrist_frame_hand(p)
+            except GeortError:
+                continue
+            accepted[fault] += 1
+    assert not accepted

@@ -3,7 +3,7 @@
 The population's seed and a number determine a person. The constants are distributions; comments give the
 source of each, or call it an assumption. Those of gloves and cameras are in `device`. No spread is fitted to
 a recording, but some figures of the average hand and its play come from two gloves (see `hand` and
-`play`). The population contains no hand that the checks of recordings would refuse.
+`play`). The population contains no hand that the checks of recordings refuse at rest.
 """
 
 import copy
