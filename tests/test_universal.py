@@ -1,6 +1,7 @@
 """The universal map: the person's shape, the fold into a map of one person, training, shipped maps."""
 
 import dataclasses
+import warnings
 from functools import cache
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from geort_drake import load_retargeter
 from geort_drake.errors import GeortError, MapError, MismatchError, RecordingError, TrainingError
 from geort_drake.hands.collision import canonical_shapes
 from geort_drake.hands.hand import Hand, canonical_kinematics
+from geort_drake.metrics.evaluation import fingertips_of
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.store import shipped_maps
@@ -31,8 +33,8 @@ UNSEEN = 9_000  # seed of people whom no training has seen
 
 @cache
 def play(person: int) -> np.ndarray:
-    """Keypoints (T, 21, 3), m, of 20 s of an unseen person's play at 30 Hz."""
-    return sample_person(UNSEEN, person).record(20.0, 30.0).p_HK.astype(float)
+    """Keypoints (T, 21, 3), m, of 10 s of an unseen person's play at 30 Hz."""
+    return sample_person(UNSEEN, person).record(10.0, 30.0).p_HK.astype(float)
 
 
 @cache
@@ -40,7 +42,7 @@ def shipped(name: str) -> tuple[Hand, UniversalRetargeter]:
     return Hand(name), load_retargeter(name)
 
 
-def motion_cosine(retarget, hand, p_HF, seed=0) -> float:
+def motion_cosine(retarget, fingertips, p_HF, seed=0) -> float:
     """The mean cosine between steps of 1 to 11 mm of one human fingertip and the robot's."""
     rng, cosines = np.random.default_rng(seed), []
     for finger in range(p_HF.shape[1]):
@@ -49,7 +51,7 @@ def motion_cosine(retarget, hand, p_HF, seed=0) -> float:
         d *= rng.uniform(0.001, 0.011, (400, 1)) / np.linalg.norm(d, axis=1, keepdims=True)
         ahead = x.copy()
         ahead[:, finger] += d
-        answer = (hand.fingertips(retarget(ahead)) - hand.fingertips(retarget(x)))[:, finger]
+        answer = (fingertips(retarget(ahead)) - fingertips(retarget(x)))[:, finger]
         lengths = np.linalg.norm(answer, axis=1) * np.linalg.norm(d, axis=1)
         cosines.append((answer * d).sum(1) / np.maximum(lengths, 1e-12))
     return float(np.mean(cosines))
@@ -114,7 +116,7 @@ def test_points_outside_of_the_wrist_frame_and_of_the_other_hand_are_refused():
             retarget.for_person(other)
 
 
-def test_points_that_are_no_hand_are_refused_and_lost_frames_are_ignored():
+def test_points_that_are_no_hand_are_refused():
     _, retarget = shipped("allegro_right")
     for frames in (play(0)[0, :4], play(0)[:, :4]):
         with pytest.raises(ValueError, match="whole hands"):
@@ -122,9 +124,27 @@ def test_points_that_are_no_hand_are_refused_and_lost_frames_are_ignored():
     for frame in (np.full((21, 3), np.nan), np.zeros((21, 3)), play(0)[:0]):
         with pytest.raises(RecordingError):
             retarget.for_person(frame)
-    lost = play(0)[:9].copy()
-    lost[4, 7] = np.nan
-    np.testing.assert_array_equal(retarget.shape(lost), retarget.shape(np.delete(lost, 4, axis=0)))
+    with pytest.raises(ValueError, match="whole hands"):
+        retarget.for_person(play(0)[None])
+
+
+def nan(p):
+    return np.full_like(p, np.nan)
+
+
+@pytest.mark.parametrize("bad", [nan, lambda p: 1e3 * p, np.zeros_like, lambda p: p + 0.1, mirrored])
+def test_bad_frames_leave_no_trace_in_a_persons_map_while_they_are_few(bad):
+    """Lost frames, another unit, no hand, another origin or side; where they are many, they are refused."""
+    _, retarget = shipped("allegro_right")
+    frames = play(0)[:9].copy()
+    frames[[2, 4]] = bad(frames[[2, 4]])
+    expected, own = (retarget.for_person(p) for p in (np.delete(frames, [2, 4], axis=0), frames))
+    np.testing.assert_array_equal(own(play(0)[20:]), expected(play(0)[20:]))
+    np.testing.assert_array_equal(own.trained_space.points, expected.trained_space.points)
+    if bad is not nan:
+        with pytest.raises((RecordingError, MismatchError)), warnings.catch_warnings():
+            warnings.simplefilter("error")
+            retarget.for_person(np.concatenate([frames[:1], bad(frames[5:])]))
 
 
 def test_a_hand_unlike_all_others_is_clamped_and_named():
@@ -241,7 +261,7 @@ def test_a_short_training_serves_people_it_has_not_seen(training_seed, reaches):
     for person in range(3):
         own = retarget.for_person(play(person)[:30])
         p_HF = play(person)[:, own.human_keypoints]
-        reaches(f"direction of person {person}", 1.0 - motion_cosine(own, hand, p_HF), 0.6)
+        reaches(f"direction of person {person}", 1.0 - motion_cosine(own, fingertips_of(hand), p_HF), 0.6)
 
 
 def test_unusable_settings_and_hands_are_refused():
@@ -269,16 +289,19 @@ def test_the_left_hands_map_mirrors_the_right_ones():
     ("name", "most_degrees"), [("allegro_right", 28.0), ("allegro_left", 28.0), ("leap_right", 36.0)]
 )
 def test_the_shipped_map_serves_unseen_people_from_the_first_second(name, most_degrees):
-    """Motion, size, pinches and posture, each with a margin; see docs/results/universal-map.md."""
+    """Motion, size, pinches and posture, each with a margin; see docs/results/universal-map.md.
+
+    Of sixteen people, because only half of them pinch, and a map may serve one of them badly.
+    """
     hand, retarget = shipped(name)
     assert Path(shipped_maps()[name]).stat().st_size <= 700_000
-    directions = DistalDirections(canonical_kinematics(hand))
+    fingertips, directions = fingertips_of(hand), DistalDirections(canonical_kinematics(hand))
     cosines, gains, closed, angles = [], [], [], []
-    for person in range(4):
+    for person in range(16):
         own = retarget.for_person(play(person)[:30])
         x, u = tips_and_directions(play(person), hand.finger_names)
-        cosines.append(motion_cosine(own, _Mirrored(hand), x))
-        p_BF = _Mirrored(hand).fingertips(own(x))
+        cosines.append(motion_cosine(own, fingertips, x))
+        p_BF = fingertips(own(x))
         human = np.linalg.norm(x[:, 1:] - x[:, :1], axis=-1)
         robot = np.linalg.norm(p_BF[:, 1:] - p_BF[:, :1], axis=-1)
         nearest, rows = human.argmin(1), np.arange(len(x))
@@ -287,21 +310,9 @@ def test_the_shipped_map_serves_unseen_people_from_the_first_second(name, most_d
         angles.append(np.degrees(np.arccos(np.clip((d * u).sum(-1), -1.0, 1.0))))
         ahead = x.copy()
         ahead[:, 1, 2] += 0.002
-        step = _Mirrored(hand).fingertips(own(ahead)) - p_BF
+        step = fingertips(own(ahead)) - p_BF
         gains.append(np.linalg.norm(step[:, 1], axis=-1) / 0.002)
-    assert np.mean(cosines) > 0.93
+    assert np.mean(cosines) > 0.95
     assert np.median(np.concatenate(gains)) > 0.8
-    # The maps were trained on play of November 27, whose hands are less varied; their lines were .94 and .92.
-    assert np.concatenate(closed).mean() > 0.88
+    assert np.concatenate(closed).mean() > 0.95
     assert np.median(np.concatenate(angles)) < most_degrees
-
-
-@dataclasses.dataclass(frozen=True)
-class _Mirrored:
-    """A hand whose fingertips are mirrored if it is a left one, to compare with a right human hand."""
-
-    hand: Hand
-
-    def fingertips(self, q: np.ndarray) -> np.ndarray:
-        p_BF = self.hand.fingertips(q)
-        return mirrored(p_BF) if self.hand.description.side == "left" else p_BF

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from geort_drake.errors import MapError
-from geort_drake.people.checks import require_wrist_frame_hand
+from geort_drake.people.checks import good_frames, require_wrist_frame_hand
 from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.base import Retargeter, require_array
 from geort_drake.retargeting.clouds import TrainedSpace
@@ -113,7 +113,7 @@ class UniversalRetargeter(Retargeter):
             ValueError: points have another shape.
             RecordingError, MismatchError: see `require_wrist_frame_hand`.
         """
-        p_HK = self._finite_hands(p_HK)
+        p_HK = self._good_hands(p_HK)
         retargeter = self._folded(hand_shape(p_HK, self.finger_names))
         p_HF = p_HK[:, self.human_keypoints]
         retargeter.trained_space = TrainedSpace.of_recording(p_HF, self.human_keypoints.tolist())
@@ -126,7 +126,7 @@ class UniversalRetargeter(Retargeter):
             ValueError: points have another shape.
             RecordingError, MismatchError: see `require_wrist_frame_hand`.
         """
-        return hand_shape(self._finite_hands(p_HK), self.finger_names)
+        return hand_shape(self._good_hands(p_HK), self.finger_names)
 
     def unusual(self, shape: np.ndarray) -> str:
         """Names the part of a hand's shape (4F,), m, that is clamped for being unlike all training; or ""."""
@@ -142,17 +142,17 @@ class UniversalRetargeter(Retargeter):
         )
 
     @staticmethod
-    def _finite_hands(p_HK: np.ndarray) -> np.ndarray:
-        """Returns the finite frames (T, 21, 3) of hands, which are checked."""
+    def _good_hands(p_HK: np.ndarray) -> np.ndarray:
+        """Returns the good frames (T, 21, 3) of hands, which are checked."""
         p_HK = np.asarray(p_HK, dtype=float)
-        if p_HK.shape[-2:] != (KEYPOINT_COUNT, 3):
+        if p_HK.ndim not in (2, 3) or p_HK.shape[-2:] != (KEYPOINT_COUNT, 3):
             raise ValueError(
                 f"the hand's shape is measured on whole hands, (T, {KEYPOINT_COUNT}, 3), not on points of "
                 f"shape {p_HK.shape}; {_ALONE}"
             )
         require_wrist_frame_hand(p_HK)
         p_HK = p_HK.reshape(-1, KEYPOINT_COUNT, 3)
-        return p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
+        return p_HK[good_frames(p_HK)]
 
     def _folded(self, shape: np.ndarray) -> MlpRetargeter:
         names = self.finger_names, self.joint_names, self.human_keypoints.tolist()
