@@ -126,6 +126,8 @@ def test_points_that_are_no_hand_are_refused():
             retarget.for_person(frame)
     with pytest.raises(ValueError, match="whole hands"):
         retarget.for_person(play(0)[None])
+    with pytest.raises(RecordingError, match="only 0 of 2 frames"):  # their mean is of a person's size
+        retarget.for_person(np.stack([1.9 * play(0)[0], 0.1 * play(0)[1]]))
 
 
 def nan(p):

@@ -106,6 +106,8 @@ def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> No
                 f"y to the index side), but are off by {1e3 * off:.0f} mm; transform them with "
                 "geort_drake.people.keypoints.to_wrist_frame"
             )
+        if 2 * (good := int(good_frames(p).sum())) < len(p):
+            raise RecordingError(f"only {good} of {len(p)} frames are in H and of a person's size in metres")
     # Either cue alone fails: straight fingers bend backwards, and a flat hand's thumb lies behind the palm.
     before, bend = float(np.median(p[:, _THUMB_MCP, 0])), _mean_bending(p)
     if before / _BEFORE_PALM_M + bend / _BEND_SINE < _LEAST_SIDE:
