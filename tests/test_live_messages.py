@@ -9,6 +9,7 @@ import signal
 import struct
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -244,6 +245,13 @@ def test_joint_messages_arrive_to_the_last_bit():
         ({"names": "ab"}, "names must be a list"),
         ({"engaged": 1}, "engaged must be true or false"),
         ({"hold_after": None}, "hold_after must be finite"),
+        ({"hold_after": 0}, "hold_after must be above 0 and at most 1 s, not 0"),
+        ({"hold_after": 1e9}, "hold_after must be above 0 and at most 1 s"),
+        ({"hold_after": 10**400}, "hold_after must be finite"),
+        ({"position": [0.1, 10**400]}, "position must be finite, not 1000"),
+        ({"time": 10**400}, "time must be finite"),
+        ({"sequence": True}, "sequence must be an integer, not True"),
+        ({"version": True}, "version must be 1, not True"),
         ({"more": 1}, "differs in more"),
     ],
 )
@@ -553,9 +561,9 @@ class Robot:
         self.endpoint, self.clock = f"ipc://{folder}/robot", Clock(0.0)
         self.bus, self.sequence = open_zmq_bus(self.endpoint), 0
 
-    def driver(self) -> JointDriver:
+    def driver(self, position: Sequence[float] = (0.0, 0.0)) -> JointDriver:
         driver = JointDriver(
-            self.endpoint, ["a", "b"], np.zeros(2), -np.ones(2), np.ones(2), 2.0,
+            self.endpoint, ["a", "b"], np.array(position), -np.ones(2), np.ones(2), 2.0,
             clock=self.clock, sleep=lambda seconds: setattr(self.clock, "now", self.clock.now + seconds),
         )  # fmt: skip
 
@@ -570,6 +578,56 @@ class Robot:
     def send(self, q) -> None:
         self.sequence += 1
         self.bus.send(JointTargets(self.sequence, 0.0, ["a", "b"], np.array(q), np.zeros(2), True, 0.1))
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"names": ["a", "a"]}, "a name occurs twice in names: a, a"),
+        ({"position": [np.nan, 0.0]}, "position of joint 'a' must be finite, not nan"),
+        ({"position": [0.0]}, r"position must be 2 numbers, not of shape \(1,\)"),
+        ({"position": 0.0}, r"position must be 2 numbers, not of shape \(\)"),
+        ({"upper": [1.0, np.inf]}, "upper of joint 'b' must be finite, not inf"),
+        ({"lower": 2.0}, "lower limit 2 of joint 'a' is above upper 1 rad"),
+        ({"speed": [1.0, -1.0]}, "speed of joint 'b' must be positive, not -1 rad/s"),
+        ({"rate": 0.0}, "rate must be positive, not 0 Hz"),
+        ({"endpoint": "tcp://127.0.0.1"}, "address 'zmq.tcp://127.0.0.1'"),
+        ({"endpoint": "tcp://127.0.0.1:leap"}, "give one of"),
+        ({"endpoint": "tcp://127.0.0.1:65535"}, "give one of"),  # states need the next port
+    ],
+)
+def test_a_driver_refuses_what_would_move_the_motors_wrongly(tmp_path, change, expected):
+    sound = {
+        "endpoint": f"ipc://{tmp_path}/robot", "names": ["a", "b"], "position": [0.0, 0.0], "lower": -1.0,
+        "upper": [1.0, 1.0], "speed": 2.0,
+    }  # fmt: skip
+    JointDriver(**sound).bus.close()
+    with pytest.raises(LiveError, match=expected):
+        JointDriver(**sound | change)
+
+
+def test_a_driver_holds_while_a_position_cannot_be_read(tmp_path):
+    """One such reading is not reported and stops nothing; the next sound one goes on."""
+    robot = Robot(tmp_path)
+    driver = robot.driver()
+    robot.bus.fetch()
+    step_after(driver, lambda: robot.send([0.5, 0.5]))
+    before = driver.step(np.zeros(2))
+    assert not driver.holding
+    np.testing.assert_array_equal(driver.step(np.array([np.nan, 0.0])), before)
+    assert driver.holding
+    assert (driver.step(np.zeros(2)) > before).all() and not driver.holding
+    with pytest.raises(LiveError, match="2 measured positions are needed"):
+        driver.step(np.zeros(3))
+
+
+def test_a_robot_outside_its_limits_moves_back_at_its_speed(tmp_path):
+    """A jump to the limit would be a blow."""
+    robot = Robot(tmp_path)
+    driver = robot.driver([1.8, 0.0])
+    path = [step_after(driver, lambda: robot.send([5.0, 0.0]))[0] for _ in range(50)]
+    assert path[0] > 1.5 and path[-1] == 1.0
+    assert np.abs(np.diff(path)).max() <= 2.0 * 0.01 + 1e-12
 
 
 def step_after(driver: JointDriver, send) -> np.ndarray:

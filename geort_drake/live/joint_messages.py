@@ -10,7 +10,8 @@ Both are UTF-8 JSON of at most 64 KiB. Joint targets have exactly these fields:
     position    rad, one for each name
     velocity    rad/s, one for each name: how fast the target moves
     engaged     true while the robot follows a person, false while it holds
-    hold_after  s; a driver that gets no newer targets for this long holds the robot where it is
+    hold_after  s, above 0 and at most 1; a driver that gets no newer targets for this long holds the robot
+                where it is
 
 A joint state has `format` "geort_drake.joint_state", `version`, `sequence`, `time` on the driver's clock,
 `names`, the measured `position` and `velocity`, and `fault`: "" or what is wrong with the robot. A driver may
@@ -21,15 +22,17 @@ This module needs only NumPy, so that it also runs on a robot's computer.
 
 import dataclasses as dc
 import json
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
 from geort_drake.errors import LiveError
-from geort_drake.live.transports import MAX_BYTES, ZmqReceiver, ZmqSender
+from geort_drake.live.transports import MAX_BYTES, ZmqReceiver, ZmqSender, split_address
 
 VERSION = 1
+MAX_HOLD_AFTER = 1.0  # s; a robot that moves on for longer without its sender is out of control
 
 
 @dc.dataclass(frozen=True, eq=False)
@@ -82,7 +85,12 @@ def decode_targets(message: bytes) -> JointTargets:
     fields = _fields(message, JointTargets)
     if not isinstance(fields["engaged"], bool):
         raise LiveError(f"joint targets: engaged must be true or false, not {fields['engaged']!r:.40}")
-    _number("joint targets", "hold_after", fields["hold_after"])
+    fields["hold_after"] = _number("joint targets", "hold_after", fields["hold_after"])
+    if not 0.0 < fields["hold_after"] <= MAX_HOLD_AFTER:
+        raise LiveError(
+            f"joint targets: hold_after must be above 0 and at most {MAX_HOLD_AFTER:g} s, not "
+            f"{fields['hold_after']:g}"
+        )
     return JointTargets(**fields)
 
 
@@ -109,7 +117,7 @@ def _fields(message: bytes, kind: type[JointTargets] | type[JointState]) -> dict
         raise LiveError(f"{what}: not JSON: {error!s:.80}") from None
     if not isinstance(fields, dict) or fields.get("format") != kind.format:
         raise LiveError(f"{what}: format must be {kind.format!r}")
-    if fields.get("version") != VERSION:
+    if fields.get("version") != VERSION or isinstance(fields["version"], bool):
         raise LiveError(f"{what}: version must be {VERSION}, not {fields.get('version')!r:.40}")
     wanted = {"format", "version", *(field.name for field in dc.fields(kind))}
     if fields.keys() != wanted:
@@ -128,16 +136,20 @@ def _fields(message: bytes, kind: type[JointTargets] | type[JointState]) -> dict
         if not isinstance(values, list) or len(values) != len(names):
             raise LiveError(f"{what}: {name} must be {len(names)} numbers, not {values!r:.60}")
         fields[name] = np.array([_number(what, name, value) for value in values])
-    if not isinstance(fields["sequence"], int):
+    if not isinstance(fields["sequence"], int) or isinstance(fields["sequence"], bool):
         raise LiveError(f"{what}: sequence must be an integer, not {fields['sequence']!r:.40}")
-    _number(what, "time", fields["time"])
+    fields["time"] = _number(what, "time", fields["time"])
     return fields
 
 
 def _number(what: str, name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < float("inf"):
+    try:
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    except OverflowError:  # an integer that no float can hold
+        number = math.inf
+    if not math.isfinite(number):
         raise LiveError(f"{what}: {name} must be finite, not {value!r:.40}")
-    return float(value)
+    return number
 
 
 Sent = TypeVar("Sent", JointTargets, JointState)
@@ -217,8 +229,9 @@ def open_driver_bus(endpoint: str) -> ZmqBus[JointState, JointTargets]:
     """Connects a driver to the endpoints of `open_zmq_bus`, at once or when they are opened.
 
     Raises:
-        LiveError: pyzmq is not installed.
+        LiveError: the endpoint is malformed, or pyzmq is not installed.
     """
+    split_address(f"zmq+{endpoint}", ("zmq",))
     sender = ZmqSender("push", status_endpoint(endpoint), binds=False)
     return ZmqBus(sender, ZmqReceiver("sub", endpoint), decode_targets)
 

@@ -20,7 +20,7 @@ from pydrake.systems.framework import (
 from geort_drake.errors import LiveError
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.live.glove_stream import POLL_PERIOD
-from geort_drake.live.joint_messages import Bus, JointState, JointTargets
+from geort_drake.live.joint_messages import MAX_HOLD_AFTER, Bus, JointState, JointTargets
 from geort_drake.live.robot_buses import open_bus
 from geort_drake.live.transports import wait_for
 from geort_drake.live.watchdog import AFTER
@@ -212,7 +212,8 @@ class RobotLink(PythonSystem):
         clock: Callable[[], float] = time.monotonic,
     ):
         super().__init__()
-        self.bus, self._clock, self._hold_after = bus, clock, _HOLD_PERIODS * period
+        self.bus, self._clock = bus, clock
+        self._hold_after = min(_HOLD_PERIODS * period, MAX_HOLD_AFTER)
         self._measured: dict[str, tuple[float, float]] = {}  # joint → position, velocity
         self._arrived: dict[str, float] = {}
         self._sequence, self._fault = 0, ""

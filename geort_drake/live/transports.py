@@ -84,7 +84,9 @@ def split_address(address: str, patterns: Sequence[str]) -> tuple[str, str]:
     if pattern == "lcm" and pattern in patterns:
         check_lcm_url(endpoint or LOCAL_LCM)
         return pattern, endpoint or LOCAL_LCM
-    if pattern not in patterns or not re.fullmatch(r"tcp://[^\s:/]+:\d{1,5}|ipc://\S+", endpoint):
+    port = re.fullmatch(r"tcp://[^\s:/]+:(\d{1,5})|ipc://\S+", endpoint)
+    # A robot's states arrive at the next port.
+    if pattern not in patterns or port is None or int(port[1] or 0) > 65535 - (pattern == "zmq"):
         forms = [_FORMS.get(name, f"{name}+tcp://HOST:PORT") for name in patterns]
         raise LiveError(f"address '{address:.80}': give one of {', '.join(forms)}")
     return pattern, endpoint
