@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench, joint_plant
@@ -148,6 +149,27 @@ def test_retargeting_needs_the_plants_joints_and_limits_and_a_start_within_them(
         first_three, *joint_plant(JOINTS), joint_names=JOINTS, initial_positions={"index_a": 0.2}
     )
     np.testing.assert_array_equal(SystemBench(system).value("desired_state"), [0, 0, 0.2, 0, 0, 0])
+
+
+def test_models_that_commands_cannot_respect_are_refused_by_joint():
+    """So is a model that is not of the plant, for which Drake ends the process."""
+    for low, high, speeds, message in (
+        (-np.inf, np.inf, (-1, 1), r"position limits of 'index_a' must be finite and apart: -inf, inf"),
+        (0.1, 0.1, (-1, 1), "position limits of 'index_a' must be finite and apart"),
+        (-1, 1, (0, 0), "velocity limits of 'index_a' must be on both sides of 0"),
+    ):
+        plant, model = joint_plant(JOINTS)
+        joint = plant.GetJointByName("index_a")
+        joint.set_position_limits([low], [high])
+        joint.set_velocity_limits(*([speed] for speed in speeds))
+        with pytest.raises(HandError, match=message):
+            RetargetingSystem(first_three, plant, model, joint_names=JOINTS)
+    plant, model = joint_plant(JOINTS)
+    plant.GetJointByName("index_a").set_velocity_limits([-1.0], [3.0])
+    assert JointLimits.of_plant(plant, model, 5.0).speed[list(JOINTS).index("index_a")] == 1.0
+    for other in (None, "hand", ModelInstanceIndex(99)):
+        with pytest.raises(HandError, match="must be a model instance of the plant"):
+            RetargetingSystem(first_three, plant, other, joint_names=JOINTS)
 
 
 def test_limits_and_start_come_from_the_plant_and_an_unconnected_valid_port_counts_as_tracked():

@@ -46,8 +46,13 @@ def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Jo
     """Returns the actuated joints of a model, in the order of its actuators and ports.
 
     Raises:
-        HandError: the model has no actuators, or the plant is not finalized.
+        HandError: `model` is not of the plant or has no actuators, or the plant is not finalized.
     """
+    # Drake ends the process where an instance is not of the plant.
+    if not isinstance(model, ModelInstanceIndex) or int(model) >= plant.num_model_instances():
+        raise HandError(
+            f"model must be a model instance of the plant, such as add_hand_model returns: {model!r:.60}"
+        )
     indices = plant.GetJointActuatorIndices(model) if plant.is_finalized() else []
     if not indices:
         raise HandError(
@@ -100,12 +105,31 @@ class JointLimits:
         speed: float = np.inf,
         acceleration: float = DEFAULT_ACCELERATION,
     ) -> "JointLimits":
-        """Returns the limits of a model's actuated joints, in actuator order; at most `speed`, rad/s."""
+        """Returns the limits of a model's actuated joints, in actuator order; at most `speed`, rad/s.
+
+        The speed of a joint is the smaller one of both directions.
+
+        Raises:
+            HandError: a joint has limits that commands cannot respect; or as `actuated_joints`.
+        """
         joints = actuated_joints(plant, model)
+        for joint in joints:
+            low, high = joint.position_lower_limit(), joint.position_upper_limit()
+            if not -np.inf < low < high < np.inf:
+                raise HandError(
+                    f"the position limits of '{joint.name()}' must be finite and apart: {low}, {high}"
+                )
+            low, high = joint.velocity_lower_limit(), joint.velocity_upper_limit()
+            if not low < 0.0 < high:
+                raise HandError(
+                    f"the velocity limits of '{joint.name()}' must be on both sides of 0: {low}, {high}"
+                )
         return cls(
             np.array([joint.position_lower_limit() for joint in joints]),
             np.array([joint.position_upper_limit() for joint in joints]),
-            np.minimum([joint.velocity_upper_limit() for joint in joints], speed),
+            np.minimum(
+                [min(joint.velocity_upper_limit(), -joint.velocity_lower_limit()) for joint in joints], speed
+            ),
             acceleration,
         )
 
