@@ -16,8 +16,8 @@ from geort_drake.errors import OutputError
 
 # Errors of a full disk or a read-only location.
 _UNWRITABLE = {
-    errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ELOOP, errno.ENOSPC, errno.ENOTDIR, errno.ENXIO,
-    errno.EPERM, errno.EROFS,
+    errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOSPC, errno.ENOTDIR,
+    errno.ENXIO, errno.EPERM, errno.EROFS,
 }  # fmt: skip
 
 
@@ -61,7 +61,10 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
         if folder is not None:
             folder.mkdir(parents=True, exist_ok=True)
         # With the target's suffix, because writers such as np.savez append theirs otherwise.
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=folder)
+        try:
+            handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=folder)
+        except FileNotFoundError as error:  # a folder that takes no files, such as /proc
+            raise OutputError(f"{original}: no file can be made there") from error
         os.close(handle)
         draft = Path(name)
         try:
@@ -172,14 +175,15 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
     target = Path(os.path.realpath(original)) if original.is_symlink() else original
     if not directory and target.is_dir():
         raise OutputError(f"{original}: is a directory, not a file")
-    if target.exists() and not (target.is_file() or target.is_dir()):
+    if not directory and target.exists() and not (target.is_file() or target.is_dir()):
         if not os.access(target, os.W_OK):
             raise OutputError(f"{original}: cannot be written to")
         return
     candidates = (target, *target.parents) if directory else target.parents
     nearest = next(path for path in candidates if path.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        raise OutputError(f"{original}: {nearest} is not a directory that can be written to")
+        where = "" if nearest == original else f"{nearest} "
+        raise OutputError(f"{original}: {where}is not a directory that can be written to")
 
 
 def is_replaceable(target: str | os.PathLike, mark: str) -> bool:

@@ -3,6 +3,7 @@
 import os
 import stat
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -63,6 +64,15 @@ def test_a_device_is_written_to():
 def test_a_folder_is_not_a_file(tmp_path, write):
     with pytest.raises(OutputError, match="is a directory, not a file"):
         write(tmp_path)
+
+
+def test_a_place_that_takes_no_files_is_named(tmp_path):
+    for target in (Path("/proc/new.txt"), tmp_path / f"{'a' * 300}.txt"):
+        with pytest.raises(OutputError, match=target.name):
+            write_text(target, "")
+    for target in ("/dev/null", __file__):
+        with pytest.raises(OutputError, match="is not a directory"):
+            require_writable(target, directory=True)
 
 
 def test_an_error_leaves_the_earlier_file(tmp_path):

@@ -71,6 +71,14 @@ def test_arrays_of_the_wrong_shape_or_type_are_refused(field):
         dc.replace(recorded(), metadata={"side": "Left"})
 
 
+@pytest.mark.parametrize("value", [0.5, 255, np.nan])
+def test_a_frame_is_valid_or_not(value):
+    """Nothing between is taken for valid."""
+    with pytest.raises(RecordingError, match="valid must be true or false, or 1 or 0"):
+        dc.replace(recorded(), valid=np.full(400, value))
+    assert dc.replace(recorded(), valid=np.ones(400, int)).valid.dtype == bool
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -256,7 +264,7 @@ def test_the_report_is_also_written_as_json(npy, tmp_path, capsys):
     assert len(report["fingers"]["index"]["bones_mm"]) == 4
     assert report["verdict"] == "usable" and report["warnings"] == []
     np.save(tmp_path / "mm.npy", 1e3 * np.load(npy))
-    for path, reason in ((tmp_path / "mm.npy", "in mm"), (tmp_path, "no such file")):
+    for path, reason in ((tmp_path / "mm.npy", "in mm"), (tmp_path, "is no file")):
         with pytest.raises(RecordingError):
             run_command("recording check", [str(path), "--json", "-"])
         report = json.loads(capsys.readouterr().out)

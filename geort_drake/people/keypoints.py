@@ -66,7 +66,8 @@ def bone_lengths(p_HK: np.ndarray) -> np.ndarray:
     """Computes the lengths (..., 20), m, of the `BONES` from keypoints p_HK (..., 21, 3) in any frame."""
     parents, children = np.array(BONES).T
     p_HK = np.asarray(p_HK, dtype=float)
-    return np.linalg.norm(p_HK[..., children, :] - p_HK[..., parents, :], axis=-1)
+    with np.errstate(invalid="ignore"):  # of lost frames, which may be infinite
+        return np.linalg.norm(p_HK[..., children, :] - p_HK[..., parents, :], axis=-1)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -77,6 +77,8 @@ class Recording:
             if array.dtype.kind not in "fiub" or array.shape != shape:
                 actual = f"{array.dtype} {array.shape}"
                 raise RecordingError(f"recording: {name} must be numbers of shape {shape}, not {actual}")
+            if dtype is np.bool_ and not np.isin(array, (0, 1)).all():
+                raise RecordingError(f"recording: {name} must be true or false, or 1 or 0, in each frame")
             # Numbers beyond float32 become infinite, which counts as lost.
             with np.errstate(over="ignore"):
                 object.__setattr__(self, name, array.astype(dtype, copy=False))
@@ -270,7 +272,7 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
 def check_file(path: Path) -> None:
     """Raises RecordingError unless `path` is a file of at most `MAX_BYTES`."""
     if not path.is_file():
-        raise RecordingError(f"{path}: no such file")
+        raise RecordingError(f"{path}: {'is no file' if path.exists() else 'no such file'}")
     _check_size(path, path.stat().st_size)
 
 
