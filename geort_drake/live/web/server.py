@@ -21,7 +21,8 @@ _MAX_CONNECTIONS = 8
 _RATE_HZ = 200.0  # most messages a second of one connection, with bursts of a second
 _MAX_EXCESS = 1000  # messages beyond that rate, after which the connection is closed
 _REFUSAL_S = 1.0  # least time between two `refused` messages
-_HEARTBEAT_S = 2.0
+# A busy page answers late; a robot holds without fresh hands in any case, however long the connection lasts.
+_HEARTBEAT_S = 10.0
 # The page loads nothing from other servers. Hand tracking needs WebAssembly and workers.
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self' blob: data:; script-src 'self' blob: 'wasm-unsafe-eval'; "
