@@ -55,7 +55,7 @@ class Benchmark(Command, ScenarioOptions):
     kinds: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """kinds of simulated people: servo, mimicry, adaptive (default: the scenario's; with --tasks, all)"""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
-    """methods listed below, maps or Python files; the first is the reference (default: all)"""
+    """methods listed above, maps or Python files; the first is the reference (default: all)"""
     objects: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
     """objects to grasp (default: all)"""
     persons: Annotated[tuple[int, ...], arg(metavar="N ..."), SEED] = ()

@@ -55,7 +55,7 @@ class Evaluate(Command):
     score_on: Annotated[tuple[Path, ...], arg(metavar="FILE ...")] = ()
     """also score on recordings of other people"""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ()
-    """methods listed below, maps or Python files (default: all)"""
+    """methods listed above, maps or Python files (default: all)"""
     seeds: Annotated[tuple[int, ...], arg(metavar="SEED ..."), SEED] = (0,)
     """seeds of training and metrics; with several, shows mean and worst"""
     frames: Annotated[int | None, arg(metavar="N"), Check(lambda number: number >= 10, "at least 10")] = None
@@ -126,7 +126,7 @@ class Explore(Command):
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of a hand (default: synthetic play)"""
     methods: Annotated[tuple[str, ...], arg(metavar="NAME ...")] = ("universal", "anyteleop")
-    """methods listed below, maps or Python files"""
+    """methods listed above, maps or Python files"""
     output: Annotated[Path, arg(metavar="FILE"), OutputFile(".rrd")] = Path("explore.rrd")
     """Rerun recording to write (.rrd)"""
     hand: HandName = "allegro_right"

@@ -44,7 +44,7 @@ class Live(Command, ScenarioOptions):
     robot: Annotated[str, arg(metavar="TARGET")] = "simulation"
     """robot or simulation to drive"""
     retargeter: Annotated[str | None, arg(metavar="NAME")] = None
-    """method listed below, map or Python file (default: the hand's universal map; without one, a map trained
+    """method listed above, map or Python file (default: the hand's universal map; without one, a map trained
     on synthetic play; if the cache has none, training it takes minutes before anything moves)"""
     glove_id: Annotated[str | None, arg(metavar="ID")] = None
     """serial number of the MANUS glove, if a bridge sends several"""

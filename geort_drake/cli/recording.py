@@ -39,9 +39,9 @@ class _Reading(Command):
     """Options for reading a recording."""
 
     input: Positional[Path]
-    """recording in one of the formats below"""
+    """recording in one of the formats above"""
     format: Annotated[str, arg(metavar="NAME")] = "auto"
-    """format, one of those below; auto detects it"""
+    """format, one of those above; auto detects it"""
     side: Side = "right"
     """side of the recorded hand"""
     mirror: bool = False

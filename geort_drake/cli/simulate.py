@@ -64,7 +64,7 @@ class Grasp(Command, ScenarioOptions):
     side: Side | None = None
     """side of the recorded hand (default: the robot hand's)"""
     retargeter: Annotated[str | None, arg(metavar="NAME")] = None
-    """method listed below, map or Python file (default: universal if the hand has a map, else geort)"""
+    """method listed above, map or Python file (default: universal if the hand has a map, else geort)"""
     device: Literal["cpu", "cuda"] = "cpu"
     """where to train"""
     seed: Seed = 0

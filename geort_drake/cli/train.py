@@ -60,7 +60,7 @@ class Train(Command):
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of a human hand (default: five minutes of synthetic play)"""
     method: Annotated[str, arg(metavar="NAME")] = "geort"
-    """method to train, one of those below"""
+    """method to train, one of those above"""
     universal: bool = False
     """train a map for every person, on synthetic people, instead of --method"""
     start: Annotated[Path | None, arg(metavar="MAP")] = None

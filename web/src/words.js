@@ -61,7 +61,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
 
 function watched(state, leaving) {
   if (leaving !== null || !state?.simulated_person)
-    return say("waiting", "The simulated person gets ready", "Planning and practice take a minute the first time, and longer on a busy computer.");
+    return say("waiting", "The simulated person gets ready", "Planning and practice take up to half a minute the first time, and longer on a busy computer.");
   const { over, success } = state.outcome;
   if (over) return say("tracking", success ? "Done" : "Not this time", "Watch another, or move the robot yourself.");
   return say("engaged", "A simulated person moves the robot", state.slow ? SLOW : "The coloured hand is theirs.");

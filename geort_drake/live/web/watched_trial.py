@@ -55,7 +55,7 @@ class WatchedTrial:
 def make_watched_trial(builder: TrialBuilder, scenario: Scenario, retarget: Retarget) -> WatchedTrial:
     """Builds the trial that `geort-drake grasp` would simulate for this scenario and map.
 
-    Planning and the person's free play take half a minute the first time.
+    Planning and the person's free play take some seconds the first time.
 
     Args:
         builder: builder of trials with the robot's hand.
