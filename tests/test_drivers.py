@@ -73,7 +73,7 @@ class Session:
     def _reached(self, bus: Bus, until) -> bool | None:
         self._sequence += 1
         zeros = np.zeros_like(self.goal)
-        bus.send(JointTargets(self._sequence, 0.0, self.names, self.goal, zeros, True, 5.0))
+        bus.send(JointTargets(self._sequence, 0.0, self.names, self.goal, zeros, True, 1.0))
         self.states += bus.fetch()
         time.sleep(0.005)
         if not self.states:
