@@ -84,16 +84,6 @@ def moving(pinch: bool = True, held: tuple[tuple[str, float], ...] = ()) -> Hand
     return Hand(hand.keypoints(theta), t, turn.as_matrix(), path)
 
 
-def random_hand(seed: int, side: str) -> Hand:
-    """Unrelated poses of a hand of random size in a world of random directions."""
-    rng = np.random.default_rng(seed)
-    hand = HumanHand.anatomical(rng.uniform(0.16, 0.21), rng.uniform(0.075, 0.095))
-    p_HK = hand.keypoints(rng.uniform(hand.lower, hand.upper, (40, 20)))
-    R_WH = Rotation.random(40, rng=rng).as_matrix()
-    t = np.cumsum(rng.uniform(0.005, 0.03, 40))
-    return Hand(p_HK, t - t[0], R_WH, rng.normal(0.0, 0.5, (40, 3)), side)
-
-
 # -- files: joints are called by name, so that nothing of a reader is used
 
 
@@ -126,18 +116,6 @@ def with_bases(name: str) -> list[str]:
 
 THUMB = [f"thumb_{j}" for j in ("cmc", "mcp", "ip", "tip")]
 FROM_WRIST_25 = ["wrist", *THUMB, *(joint for finger in FINGERS for joint in with_bases(finger))]
-
-
-def read_contents(path: Path) -> Any:
-    """Returns what a file of ours holds; its ending says how."""
-    match path.suffix:
-        case ".npz":
-            return dict(np.load(path))
-        case ".npy":
-            return np.load(path)
-        case ".jsonl":
-            return [json.loads(line) for line in path.read_text().splitlines()]
-    return yaml.safe_load(path.read_text()) if path.suffix == ".yaml" else json.loads(path.read_text())
 
 
 def write_contents(path: Path, contents: Any) -> None:

@@ -211,11 +211,11 @@ class HandInPlant:
         path = joint_paths(plant, self.instance)[tip.index()]
         moving = [joint for joint in path if joint.num_positions()]
         names = [joint.name() for joint in moving]
-        own = [name for name in names if name not in couplings]
-        if own != finger.joints:
+        independent = [name for name in names if name not in couplings]
+        if independent != finger.joints:
             raise HandError(
                 f"{where}: its joints must be listed base to tip; given: {', '.join(finger.joints)}; "
-                f"between '{base.name()}' and '{finger.tip_link}' are: {', '.join(own) or 'none'}"
+                f"between '{base.name()}' and '{finger.tip_link}' are: {', '.join(independent) or 'none'}"
             )
         context = plant.CreateDefaultContext()
         X_PJ = np.empty((len(moving), 4, 4))
@@ -225,24 +225,24 @@ class HandInPlant:
             previous = joint.frame_on_child()
         p_tip = _fixed_pose(plant, context, previous, tip.body_frame()) @ np.array(finger.tip_point)
         axes = np.stack([joint.revolute_axis() for joint in moving])
-        coupling = np.zeros((len(names), len(own)))
+        coupling = np.zeros((len(names), len(independent)))
         for row, name in enumerate(names):
-            if name in own:
-                coupling[row, own.index(name)] = 1.0
+            if name in independent:
+                coupling[row, independent.index(name)] = 1.0
                 continue
             follower = couplings[name]
-            if follower.follows not in own:
+            if follower.follows not in independent:
                 raise HandError(
                     f"{where}: its joint '{name}' follows '{follower.follows}' of another finger; a joint "
                     "that moves several fingers can only be fixed: remove it from the fingers' joints"
                 )
-            coupling[row, own.index(follower.follows)] = follower.ratio
+            coupling[row, independent.index(follower.follows)] = follower.ratio
             turned = RotationMatrix(AngleAxis(follower.offset, axes[row]))
             X_PJ[row, :3, :3] = X_PJ[row, :3, :3] @ turned.matrix()
         return FingerChain(
             name=finger.name,
-            joint_names=tuple(own),
-            joint_indices=tuple(self.description.joint_names.index(name) for name in own),
+            joint_names=tuple(independent),
+            joint_indices=tuple(self.description.joint_names.index(name) for name in independent),
             X_PJ=X_PJ,
             axes=axes,
             p_tip=p_tip,
@@ -283,8 +283,8 @@ def add_hand_model(
         _assemble(added, set(plant.GetConstraintIds()) - constraints)
     # The hand must not collide with a floor in its own model file.
     if floor := set(_world_geometries(plant)) - surroundings:
-        own = [id for link in added.links for id in plant.GetCollisionGeometriesForBody(link)]
-        filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(floor)), GeometrySet(own))
+        shapes = [id for link in added.links for id in plant.GetCollisionGeometriesForBody(link)]
+        filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(floor)), GeometrySet(shapes))
         Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
     return hand
 
@@ -345,7 +345,7 @@ def parse_model(plant: MultibodyPlant, path: Path) -> ModelInstanceIndex:
     packages = parser.package_map()
     packages.Add(PACKAGE_NAME, str(resource_root()))
     words = [word for element in tree.iter() for word in (element.text, *element.attrib.values()) if word]
-    for name in {found[1] for word in words if (found := re.search("package://([^/]+)/", word))}:
+    for name in {match[1] for word in words if (match := re.search("package://([^/]+)/", word))}:
         if not packages.Contains(name):
             packages.Add(name, str(find_package(path, name)))
     try:
@@ -487,16 +487,16 @@ def _add_servo(plant: MultibodyPlant, joint: Joint, leader: Joint, ratio: float)
     servos = {a.joint().index(): a for a in _actuators(plant) if a.has_controller()}
     if not {joint.index(), leader.index()} <= servos.keys():
         return
-    own, moving = servos[joint.index()], servos[leader.index()]
-    given, added = moving.get_controller_gains(), own.get_controller_gains()
-    name, gear, inertia = moving.name(), moving.default_gear_ratio(), moving.default_rotor_inertia()
-    limit = moving.effort_limit() + ratio * own.effort_limit()
-    plant.RemoveJointActuator(moving)  # the effort limit of an existing actuator cannot change
+    follower_servo, servo = servos[joint.index()], servos[leader.index()]
+    gains, follower_gains = servo.get_controller_gains(), follower_servo.get_controller_gains()
+    name, gear, inertia = servo.name(), servo.default_gear_ratio(), servo.default_rotor_inertia()
+    limit = servo.effort_limit() + ratio * follower_servo.effort_limit()
+    plant.RemoveJointActuator(servo)  # the effort limit of an existing actuator cannot change
     servo = plant.AddJointActuator(name, leader, limit)
     servo.set_default_gear_ratio(gear)
     servo.set_default_rotor_inertia(inertia)
     servo.set_controller_gains(
-        PdControllerGains(p=given.p + ratio**2 * added.p, d=given.d + ratio**2 * added.d)
+        PdControllerGains(p=gains.p + ratio**2 * follower_gains.p, d=gains.d + ratio**2 * follower_gains.d)
     )
 
 

@@ -81,9 +81,9 @@ class HandClearance:
         self._plant, self._inspector = hand.plant, hand.scene_graph.model_inspector()
         # The joints of q and their followers.
         self._names = [*hand.joint_names, *hand.couplings.names]
-        given = list(joints or hand.joint_names)
-        self._to_hand = np.array([given.index(name) for name in hand.joint_names])
-        coupling = np.vstack([np.eye(len(given)), hand.couplings.ratio])
+        listed = list(joints or hand.joint_names)
+        self._to_hand = np.array([listed.index(name) for name in hand.joint_names])
+        coupling = np.vstack([np.eye(len(listed)), hand.couplings.ratio])
         self._coupling = coupling[:, np.argsort(self._to_hand)]
         self._read_chains()
         self.pairs = self._pairs()
@@ -92,16 +92,16 @@ class HandClearance:
 
     def near(self, q: np.ndarray, most: int | None = None) -> Near:
         """Returns the pairs, or the nearest `most`, with gaps below the clearance at joint angles q (n,)."""
-        found = self._hand.query(q[self._to_hand], self._root).ComputePointPairPenetration()
-        if not found:
+        penetrations = self._hand.query(q[self._to_hand], self._root).ComputePointPairPenetration()
+        if not penetrations:
             return Near([], np.empty(0), np.empty((0, len(q))))
-        if most is not None and len(found) > most:
-            found = sorted(found, key=attrgetter("depth"), reverse=True)[:most]
-        pairs = [(pair.id_A, pair.id_B) for pair in found]
-        gap = np.array([self._clearance - pair.depth for pair in found])
-        n, x = np.concatenate([pair.nhat_BA_W for pair in found] + [pair.p_WCa for pair in found]).reshape(
-            2, -1, 3
-        )
+        if most is not None and len(penetrations) > most:
+            penetrations = sorted(penetrations, key=attrgetter("depth"), reverse=True)[:most]
+        pairs = [(pair.id_A, pair.id_B) for pair in penetrations]
+        gap = np.array([self._clearance - pair.depth for pair in penetrations])
+        n, x = np.concatenate(
+            [pair.nhat_BA_W for pair in penetrations] + [pair.p_WCa for pair in penetrations]
+        ).reshape(2, -1, 3)
         first, second = self._rows(pairs)
         # n · (ω × (x - o)) = ω · (x × n) + n · (o × ω)
         along = np.concatenate([_cross(x, n), n], axis=1) @ self._joint_axes()
@@ -181,13 +181,13 @@ class HandClearance:
         grids = [
             np.linspace(self._hand.lower[joint], self._hand.upper[joint], _GRID_SIZE) for joint in joints
         ]
-        found: set[frozenset[GeometryId]] = set()
+        pairs: set[frozenset[GeometryId]] = set()
         q = self._hand.default_position
         for angles in product(*grids):
             q[list(joints)] = angles
             touching = self._hand.query(q, root).ComputePointPairPenetration()
-            found.update(frozenset((pair.id_A, pair.id_B)) for pair in touching)
-        return found
+            pairs.update(frozenset((pair.id_A, pair.id_B)) for pair in touching)
+        return pairs
 
     def _enlarged_hand(self) -> Context:
         """Creates a context in which all geometries are enlarged by half of the clearance."""

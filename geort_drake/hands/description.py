@@ -157,9 +157,9 @@ class HandDescription:
         Raises:
             HandError: a field is missing or wrong; names hand, field, expected and given values.
         """
-        for good, field, expected, given in self._requirements():
+        for good, field, expected, value in self._requirements():
             if not good:
-                raise HandError(f"hand '{self.name}': {field} must be {expected}; given: {given}")
+                raise HandError(f"hand '{self.name}': {field} must be {expected}; given: {value}")
         resolved_couplings(self.couplings)
 
     def _requirements(self) -> Iterator[tuple[object, str, str, object]]:

@@ -146,11 +146,11 @@ class Hand:
         A contact has a depth, m, the links' names in alphabetical order, and whether both are fingertips.
         """
         (row,) = self._rows(np.asarray(q)[None])
-        found = []
+        contacts = []
         for pair in self._query(row, self._contact_context).ComputePointPairPenetration():
             link_a, link_b = sorted((self.link_of(pair.id_A), self.link_of(pair.id_B)))
-            found.append((pair.depth, link_a, link_b, self.are_tips(pair.id_A, pair.id_B)))
-        return sorted(found, key=lambda contact: (-contact[0], *contact[1:3]))
+            contacts.append((pair.depth, link_a, link_b, self.are_tips(pair.id_A, pair.id_B)))
+        return sorted(contacts, key=lambda contact: (-contact[0], *contact[1:3]))
 
     def are_tips(self, geometry_a: GeometryId, geometry_b: GeometryId) -> bool:
         """Whether both collision geometries belong to fingertips."""

@@ -367,13 +367,13 @@ def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str
             leader, joint = sorted(coefficients)
             if leader not in driven and joint in driven:
                 leader, joint = joint, leader
-            own, other = coefficients[joint], coefficients[leader]
-            length = lengths.get(tendon, _narrow_length(m, tendon, min(abs(own), abs(other))))
+            coefficient, leading = coefficients[joint], coefficients[leader]
+            length = lengths.get(tendon, _narrow_length(m, tendon, min(abs(coefficient), abs(leading))))
             names = name_of(m, "joint", joint), name_of(m, "joint", leader)
             if length is not None:
-                coupling = CouplingDescription(*names, -other / own, length / own)
+                coupling = CouplingDescription(*names, -leading / coefficient, length / coefficient)
             elif tendon in pulled and not {joint, leader} & driven:
-                coupling = CouplingDescription(*names, own / other, 0.0)
+                coupling = CouplingDescription(*names, coefficient / leading, 0.0)
                 notes.append(
                     f"one motor pulls '{names[1]}' and '{names[0]}'; assuming equal stiffness, '{names[0]}' "
                     f"follows by {coupling.ratio:g}"

@@ -127,14 +127,14 @@ def included_files(model: Path, main: Path | None = None) -> list[Path]:
     text = model.read_text(encoding="utf-8", errors="replace")
     names = re.findall(r"<include\s[^>]*?file\s*=\s*[\"']([^\"']+)", text)
     names += re.findall(r"<include\b[^/]*?>.*?<uri>\s*(.*?)\s*</uri>", text, flags=re.DOTALL)
-    found: list[Path] = []
+    files: list[Path] = []
     for name in names:
         # As in MuJoCo, a name is first relative to the outermost file.
         file = next((f for f in (resolve_reference(m, name) for m in (main, model)) if f.exists()), None)
         file = file / "model.sdf" if file is not None and file.is_dir() else file
         if file is not None and file.is_file():
-            found += [file, *included_files(file, main)]
-    return found
+            files += [file, *included_files(file, main)]
+    return files
 
 
 def check_values(tree: ET.Element) -> None:

@@ -109,9 +109,9 @@ def decode(message: bytes, side: str, glove_id: str | None = None) -> GloveFrame
 
 def _decode_own(fields: dict[str, Any]) -> GloveFrame:
     for name, expected in (("version", VERSION), ("unit", "m")):
-        given = fields.get(name)
-        if given != expected or isinstance(given, bool):
-            raise MismatchError(f"glove message: {name} must be {expected!r}, not {given!r:.40}")
+        value = fields.get(name)
+        if value != expected or isinstance(value, bool):
+            raise MismatchError(f"glove message: {name} must be {expected!r}, not {value!r:.40}")
     if fields.keys() != _FIELDS:
         wrong = ", ".join(sorted(fields.keys() ^ _FIELDS))[:80]
         raise LiveError(

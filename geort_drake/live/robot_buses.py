@@ -87,8 +87,8 @@ class Device:
         size = len(self.encode_command(JointTargets(0, 0.0, self.joints, zeros, zeros, True, np.inf)))
         command = self._decode(self.command_type, message, size)
         for field, expected in self.constants.items():
-            if (given := getattr(command, field, expected)) != expected:
-                raise LiveError(f"{self.name}: {field} must be {expected}, not {given}")
+            if (value := getattr(command, field, expected)) != expected:
+                raise LiveError(f"{self.name}: {field} must be {expected}, not {value}")
         q = self._joint_values(command, "joint_position")
         return JointTargets(0, 1e-6 * command.utime, self.joints, q, zeros, True, np.inf)
 

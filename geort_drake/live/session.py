@@ -141,9 +141,9 @@ def run_session(
         state = loop.state(root)
         kind = state.partition(";")[0]  # without the reason of a refusal
         states[kind] = round(states.get(kind, 0.0) + STEP_S, 6)
-        if (shown := steady.step(time, state)) != last:
-            on_state(time, shown)
-            last = shown
+        if (steady_state := steady.step(time, state)) != last:
+            on_state(time, steady_state)
+            last = steady_state
         if loop.notice != notice:
             notice = loop.notice
             on_state(time, notice or "the glove's clock runs right again")
@@ -223,5 +223,5 @@ def stopping() -> Iterator[threading.Event]:
     try:
         yield event
     finally:
-        for kept, handler in before.items():
-            signal.signal(kept, handler)
+        for number, handler in before.items():
+            signal.signal(number, handler)

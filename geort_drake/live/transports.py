@@ -125,14 +125,14 @@ def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
     if match is None or not routes.exists():
         return True
     group = int(ipaddress.IPv4Address(match[1]))
-    found = []
+    candidates = []
     for line in routes.read_text().splitlines()[1:]:
         interface, destination, _, flags, _, _, metric, mask, *_ = line.split()
         # Addresses are in the machine's byte order.
         network, bits = (socket.ntohl(int(word, 16)) for word in (destination, mask))
         if int(flags, 16) & _ROUTE_IS_UP and group & bits == network:
-            found.append((-bits, int(metric), interface))
-    return bool(found) and min(found)[2] != "lo"
+            candidates.append((-bits, int(metric), interface))
+    return bool(candidates) and min(candidates)[2] != "lo"
 
 
 class _ZmqSocket:

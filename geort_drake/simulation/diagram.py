@@ -111,7 +111,7 @@ def make_trial_diagram(
                 scenario.operator,
                 RigidTransform(X_WB_seen.rotation(), np.zeros(3)),
                 seed=int(rng.integers(2**31)),
-                inputs={name: shown.port.size() for name, shown in stage.shown.items()},
+                inputs={name: perceived.port.size() for name, perceived in stage.shown.items()},
                 person=lambda noise: task.person(scenario, person, goal, noise),
             ),
         )

@@ -73,8 +73,8 @@ def keep_reached(plans: Sequence[Intended], play: FreePlay) -> tuple[Intended, b
         The plan and True; or, without an attainable plan, the nearest one with infinite clearance, and False.
     """
     excess = [_excess(play.p_BF, goal) for goal in plans]
-    kept, attainable = plans[excess.index(min(excess))], min(excess) == 0.0
-    return dc.replace(kept, play=play, clearance=kept.clearance if attainable else np.inf), attainable
+    plan, attainable = plans[excess.index(min(excess))], min(excess) == 0.0
+    return dc.replace(plan, play=play, clearance=plan.clearance if attainable else np.inf), attainable
 
 
 def _excess(p_BF: np.ndarray, goal: Goal) -> float:

@@ -151,7 +151,7 @@ def add_trial_recorder(
         stage.scene.scene_graph,
         path,
         specs,
-        period=scenario.recording.period,
+        period=scenario.recording_period,
         # Long arrows, so that the few newtons of a grasp are visible.
         contact=ContactSpec(groups=links, metres_per_newton=0.04, max_length=0.2),
         close_ups=_close_ups(plant, description, stage.bodies, fingertips),

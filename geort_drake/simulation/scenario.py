@@ -61,14 +61,6 @@ class RetargetingConfig:
 
 
 @dc.dataclass
-class RecordingConfig:
-    """Recordings for the Rerun viewer."""
-
-    # Time between recorded frames, s.
-    period: float = 0.02
-
-
-@dc.dataclass
 class Scenario:
     """One trial: task, world, person, and the retargeting between person and robot."""
 
@@ -117,7 +109,8 @@ class Scenario:
     retargeting: RetargetingConfig = dc.field(default_factory=RetargetingConfig)
     correction: CorrectionConfig = dc.field(default_factory=CorrectionConfig)
     wrist_to_arm: WristToArmConfig = dc.field(default_factory=WristToArmConfig)
-    recording: RecordingConfig = dc.field(default_factory=RecordingConfig)
+    # Time between frames of the recording for the Rerun viewer, s.
+    recording_period: float = 0.02
 
 
 def object_file(name: str) -> Path:

@@ -29,7 +29,7 @@ _RULES = (
             "retargeting.period",
             "retargeting.max_joint_speed",
             "retargeting.max_joint_acceleration",
-            "recording.period",
+            "recording_period",
             "hand_stiffness_factor",
             "object.mass_factor",
             "object.friction_factor",
@@ -46,7 +46,7 @@ _RULES = (
 )
 _MIN_TIME_STEP = 1e-5  # s; with a shorter step, a trial would take hours
 # Periods that must be multiples of the plant's time step.
-_PERIODS = tuple(f"{part}.period" for part in ("retargeting", "wrist_to_arm", "operator", "recording"))
+_PERIODS = ("retargeting.period", "wrist_to_arm.period", "operator.period", "recording_period")
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -144,12 +144,12 @@ def names_object(
 def _loaded(
     file: str | os.PathLike | None, name: str | None, text: str | None, task: str | None, defaults: Scenario
 ) -> Scenario:
-    own = find_task(task or "grasp").scenario
-    if file is None and isinstance(own, str):
-        scenario = _merged(own, None, f"the scenario of task {task}", defaults)
+    source = find_task(task or "grasp").scenario
+    if file is None and isinstance(source, str):
+        scenario = _merged(source, None, f"the scenario of task {task}", defaults)
         scenario.task = task or scenario.task
     else:
-        default_file, default_name = ("", "Grasp") if isinstance(own, str) else own
+        default_file, default_name = ("", "Grasp") if isinstance(source, str) else source
         scenario = _read(Path(file or default_file), name or default_name, defaults)
     if text:
         scenario = _merged(text, None, "the text merged into the scenario", scenario)

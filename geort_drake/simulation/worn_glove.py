@@ -86,5 +86,5 @@ class WornGlove(PythonSystem):
         self.DeclareVectorOutputPort("valid", 1, calc_valid, {valid.ticket(), self.time_ticket()})
 
     def _in_gap(self, t: float) -> bool:
-        begun = bisect.bisect_right(self._gaps, t)
-        return begun > 0 and t < self._gaps[begun - 1] + self._gap
+        count = bisect.bisect_right(self._gaps, t)
+        return count > 0 and t < self._gaps[count - 1] + self._gap

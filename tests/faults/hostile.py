@@ -271,11 +271,6 @@ def hand_with_model(model: str, text: str = "") -> Make:
     return make
 
 
-def hand_with_sdf(pattern: str, replacement: str) -> Make:
-    sdf = (models_dir() / "sdf" / "allegro_right.sdf").read_text(encoding="utf-8")
-    return hand_with_model("hand.sdf", re.sub(pattern, replacement, sdf, count=1))
-
-
 def sdf_with_entities(entities: str, use: str) -> Make:
     text = f"<?xml version='1.0'?><!DOCTYPE sdf [{entities}]><sdf version='1.7'>{use}</sdf>"
     return hand_with_model("hand.sdf", text)

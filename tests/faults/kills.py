@@ -5,7 +5,6 @@ A result is complete or absent, whatever happens.
 
 import dataclasses as dc
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -15,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from faults.child import Child, Ending, run
+from faults.child import Child, run
 from faults.works import WORKS, results
 
 MAX_TIME = 900.0  # s that a program may take, also on a busy machine
@@ -101,16 +100,6 @@ def kill(
     return wrong
 
 
-def unclear(ending: Ending, reason: str) -> list[str]:
-    """Returns what is wrong with the end of a program that could not write: it must name file and reason."""
-    wrong = []
-    if (ending.code, ending.error) != (2, "OutputError"):
-        wrong.append(f"ended with {ending.code} {ending.error}")
-    if not re.search(f"cannot be written.*: ({reason})", ending.output) or "Traceback" in ending.output:
-        wrong.append(f"printed {ending.output[-500:]}")
-    return wrong
-
-
 def _check_left(known: Reference, room: Path) -> tuple[list[str], dict[str, str]]:
     """Returns what is wrong with the results that a broken run left, and these results."""
     try:
@@ -173,8 +162,6 @@ def _run_in_new_interpreter(work: str, room: Path, cache: Path) -> tuple[int, st
 
 def _touches(event: str, arguments: tuple, folder: str) -> bool:
     """Returns whether an audit event is about to change something in a folder."""
-    if event == "ctypes.dlsym":
-        return arguments[1] == "renameat2"
     if event == "open":
         mode = arguments[1]
         changes = isinstance(mode, str) and any(letter in mode for letter in "wax+")

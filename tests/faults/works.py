@@ -1,6 +1,5 @@
 """Programs that write results, and digests of the results they leave."""
 
-import functools
 import hashlib
 import json
 import time
@@ -11,7 +10,6 @@ from unittest import mock
 
 import numpy as np
 from grasp_setup import TOO_SHORT, allegro, judged, reach_goal
-from joblib.externals.loky import get_reusable_executor
 from light_training import train_lightly
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
@@ -39,7 +37,7 @@ def train(seed: int) -> None:
     train_lightly("allegro_right", recording, Path("trained.safetensors"), "geort", seed)
 
 
-def benchmark(seed: int, jobs: int = 1) -> None:
+def benchmark(seed: int) -> None:
     """A benchmark, one job in this process.
 
     It has fewer trials with seed 1 than with seed 0, which resumes it.
@@ -47,7 +45,7 @@ def benchmark(seed: int, jobs: int = 1) -> None:
     from geort_drake.benchmark import run
 
     argv = [
-        "--output", ".", "--methods", "hold", "--objects", "cylinder", "--jobs", str(jobs),
+        "--output", ".", "--methods", "hold", "--objects", "cylinder", "--jobs", "1",
         "--scenario-text", TOO_SHORT, "--trials", "1" if seed == 1 else "2",
     ]  # fmt: skip
     with (
@@ -55,9 +53,6 @@ def benchmark(seed: int, jobs: int = 1) -> None:
         mock.patch.object(run, "training_recording", lambda *_: play()),
     ):
         run_command("benchmark", argv)
-    if jobs > 1:
-        # A script's interpreter does this at its end; a forked process does not.
-        get_reusable_executor().shutdown()
 
 
 def record(seed: int) -> None:
@@ -98,7 +93,6 @@ WORKS: dict[str, Callable[[int], object]] = {
     "data generation": generate,
     "training": train,
     "benchmark": benchmark,
-    "benchmark of two workers": functools.partial(benchmark, jobs=2),
     "recording": record,
     "teleoperation": teleoperate,
 }

@@ -146,7 +146,7 @@ def fingers_by_name(names: Sequence[Sequence[str]]) -> list[str] | None:
     Args:
         names: names of each chain's joints and links.
     """
-    found = []
+    fingers = []
     for group in names:
         counts = {
             finger: sum(bool(re.search(word, name.lower())) for name in group)
@@ -154,8 +154,8 @@ def fingers_by_name(names: Sequence[Sequence[str]]) -> list[str] | None:
         }
         # "Middle" may also mean a phalanx.
         best = max(counts, key=lambda finger: (counts[finger], finger != "middle"))
-        found.append(best if counts[best] else "")
-    return found if "" not in found and len(set(found)) == len(found) else None
+        fingers.append(best if counts[best] else "")
+    return fingers if "" not in fingers and len(set(fingers)) == len(fingers) else None
 
 
 def side_by_name(texts: Sequence[str]) -> str | None:

@@ -96,8 +96,8 @@ def nearest_pinch(hand: Hand, number: int) -> float:
     q = hand.sample(_PINCH_SAMPLES)
     starts = q[np.argsort(np.linalg.norm(offset(q), axis=1))[:_PINCH_STARTS]]
     limits = hand.lower, hand.upper
-    found = [least_squares(offset, start, bounds=limits, xtol=1e-5) for start in starts]
-    return min(float(np.linalg.norm(each.fun)) for each in found)
+    solutions = [least_squares(offset, start, bounds=limits, xtol=1e-5) for start in starts]
+    return min(float(np.linalg.norm(solution.fun)) for solution in solutions)
 
 
 def _orientation(hand: Hand) -> Iterator[str]:

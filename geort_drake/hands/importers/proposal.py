@@ -163,12 +163,12 @@ def _overlaps(hand: Hand) -> dict[tuple[str, str], float]:
         for geometry in plant.GetCollisionGeometriesForBody(body)
         if isinstance(inspector.GetShape(geometry), Convex | Mesh)
     }
-    found = {}
+    shares = {}
     for (a, b), share in sorted(contact_fractions(hand).items()):
         near = len(joints[a] ^ joints[b]) <= 2 and not hulls.isdisjoint((a, b))
         if a != b and share >= (FREQUENT_FRACTION if near else _PERMANENT_FRACTION):
-            found[a, b] = share
-    return found
+            shares[a, b] = share
+    return shares
 
 
 def _default_positions(structure: HandStructure, description: HandDescription) -> dict[str, float]:

@@ -174,9 +174,9 @@ class HandStructure:
         fingers: list[Group] = []
         for path in sorted(ends, key=len, reverse=True):
             branches = [finger for finger in fingers if finger[:1] == path[:1]]
-            own = set(path).difference(*branches)
+            trunk = set(path).difference(*branches)
             revolute = any(isinstance(self._joints[name], RevoluteJoint) for name in path)
-            if revolute and (not branches or len(own) >= _MIN_BRANCH_JOINTS):
+            if revolute and (not branches or len(trunk) >= _MIN_BRANCH_JOINTS):
                 fingers.append(path)
         return [path for path in ends if path in fingers]
 
@@ -207,14 +207,14 @@ class HandStructure:
     def _chain(self, finger: Group, leaders: dict[str, str]) -> Chain | None:
         """Returns the chain of a finger; None if none of its joints moves independently."""
         moving = [name for name in finger if leaders.get(name, name) not in self.held]
-        own = [name for name in moving if name not in leaders]
-        if not own:
+        independent = [name for name in moving if name not in leaders]
+        if not independent:
             return None
         # The links of each joint, from the palm on. Links beyond held joints move with the last moving one.
         links = [self._groups[self._carrier + finger[: number + 1]] for number in range(len(finger))]
         bodies = list(itertools.chain(*links[finger.index(moving[-1]) :]))
         names = [*finger, *(body.name() for body in itertools.chain(*links))]
-        return Chain(own, moving, bodies, names)
+        return Chain(independent, moving, bodies, names)
 
 
 def _outgoing(groups: dict[Group, list[RigidBody]]) -> Counter[Group]:

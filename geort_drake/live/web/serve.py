@@ -49,8 +49,8 @@ def open_server(
     key = secrets.token_urlsafe(16)
     server = WebServer(station, host, port, key, page, tls)
     try:
-        shown = f"[{hosts[0]}]" if ":" in hosts[0] else hosts[0]
-        address = f"{'https' if tls else 'http'}://{shown}:{server.port}/#{key}"
+        name = f"[{hosts[0]}]" if ":" in hosts[0] else hosts[0]
+        address = f"{'https' if tls else 'http'}://{name}:{server.port}/#{key}"
         if tls:
             warn(
                 "the page is open to the network: whoever has this address moves the robot. The browser will "

@@ -223,8 +223,8 @@ class WebServer:
         return socket
 
     def _require_access(self, request: web.Request) -> None:
-        given = request.query.get("key", "").encode(errors="replace")
-        if not hmac.compare_digest(given, self._key.encode()):
+        key = request.query.get("key", "").encode(errors="replace")
+        if not hmac.compare_digest(key, self._key.encode()):
             raise web.HTTPForbidden(text="wrong key: open the address that `geort-drake live` printed")
         # Browsers send the page's origin; other clients, which no page controls, need not.
         origin = request.headers.get("Origin")

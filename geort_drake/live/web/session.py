@@ -213,8 +213,8 @@ class WebTeleoperation:
         poses_of = None if self.link is None else measured_poses(plant)
 
         # The joints of a real robot are recorded, because a replay cannot reproduce them.
-        kept = {} if self.link is None else robot_joints(description, model)
-        recorder = GloveRecorder(scenario.operator.period, robot=kept)
+        joints = {} if self.link is None else robot_joints(description, model)
+        recorder = GloveRecorder(scenario.operator.period, robot=joints)
         loop = make_teleoperation(
             scenario,
             description,
@@ -226,14 +226,14 @@ class WebTeleoperation:
             self.relax_after,
             recorder,
         )
-        shown = loop.diagram.GetSubsystemByName("robot")
+        system = loop.diagram.GetSubsystemByName("robot")
 
         def show(root: Context) -> None:
-            context = shown.GetMyContextFromRoot(root)
+            context = system.GetMyContextFromRoot(root)
             if poses_of is None:
-                poses = shown.GetOutputPort("body_poses").Eval(context)
+                poses = system.GetOutputPort("body_poses").Eval(context)
             else:
-                states = {name: shown.GetOutputPort(f"{name}_state").Eval(context) for name in (HAND, ARM)}
+                states = {name: system.GetOutputPort(f"{name}_state").Eval(context) for name in (HAND, ARM)}
                 poses = poses_of(states)
             frame = scene.frame(root.get_time(), poses, self.station.p_HK, description.side)
             self.server.publish(frame=frame)

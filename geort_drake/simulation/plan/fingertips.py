@@ -83,11 +83,11 @@ class FingerPlanner:
         """Whether no links but fingertips and ignored ones are within `gap`, m, of p_BQ (N, 3)."""
         query, hand = self.hand.query(q, self._context), self.hand
         return not any(
-            found.distance < gap
-            and not hand.are_tips(found.id_G, found.id_G)
-            and hand.link_of(found.id_G) not in ignored
+            near.distance < gap
+            and not hand.are_tips(near.id_G, near.id_G)
+            and hand.link_of(near.id_G) not in ignored
             for p in p_BQ
-            for found in query.ComputeSignedDistanceToPoint(p, gap)
+            for near in query.ComputeSignedDistanceToPoint(p, gap)
         )
 
     def reach(self, p_BF: np.ndarray, guess: np.ndarray) -> np.ndarray | None:

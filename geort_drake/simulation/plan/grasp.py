@@ -94,11 +94,11 @@ class GraspPlanner:
         """
         robot = self._kinematics
         offsets = finger_offsets(robot.shape, self._grip)
-        found = self._search(robot.q_default, [(offset, None) for offset in offsets], enough)
-        if not found:
-            found = self._search(robot.q_middle, [(offsets[0], robot.finger_spacing)], enough)
-        if found:
-            return [goal for _, goals in sorted(found, key=itemgetter(0)) for goal in goals]
+        grasps = self._search(robot.q_default, [(offset, None) for offset in offsets], enough)
+        if not grasps:
+            grasps = self._search(robot.q_middle, [(offsets[0], robot.finger_spacing)], enough)
+        if grasps:
+            return [goal for _, goals in sorted(grasps, key=itemgetter(0)) for goal in goals]
         if self._grip in _FALLBACK_GRIPS and self._tip_height is None:
             return GraspPlanner(self._scenario, self._description, _FALLBACK_GRIPS[self._grip]).plans(enough)
         reason = f"no collision-free {self._grip} grasp was found"
@@ -122,15 +122,15 @@ class GraspPlanner:
             q_start: initial positions of the plant.
             distances: `offset` and `spacing` of `grip_contacts`, in order of preference.
         """
-        found: list[tuple[float, list[GraspGoal]]] = []
+        grasps: list[tuple[float, list[GraspGoal]]] = []
         for offset, spacing in distances:
             for candidate in self._candidates(q_start, offset, spacing)[:_TRIES]:
-                if len(found) == enough:
+                if len(grasps) == enough:
                     break
                 grasp = self._grasp_from(candidate)
                 if grasp is not None:
-                    found.append(grasp)
-        return found
+                    grasps.append(grasp)
+        return grasps
 
     def _grasp_from(self, candidate: "_Candidate") -> tuple[float, list[GraspGoal]] | None:
         """Returns cost and goals of a collision-free grasp that the open hand can approach, or None."""
@@ -140,7 +140,7 @@ class GraspPlanner:
             [candidate.q] if self._tip_height is None else [candidate.q, robot.q_default, robot.q_middle]
         )
         touched = (robot.touch(candidate.contacts, candidate.palm, guess) for guess in guesses)
-        solution = next((found for found in touched if found is not None), None)
+        solution = next((solution for solution in touched if solution is not None), None)
         if solution is None:
             return None
         discomfort, q_touch = solution
@@ -179,13 +179,13 @@ class GraspPlanner:
             return [] if q is None or waiting is None else [(q, waiting[0], np.inf if palm else waiting[1])]
         # A finger with fewer joints cannot leave a surface in a straight line. Fingers go to their default
         # positions; the thumb has a choice, because a person may be unable to show its default position.
-        found = []
+        openings = []
         for q in robot.open_thumbs(q_touch, _THUMBS):
             waiting = self._approach.waiting_pose(X_OB, robot.joint_positions(q))
             if waiting is not None:
-                found.append((q, *waiting))
-        least = min(max((clearance for *_, clearance in found), default=0.0), APPROACH_CLEARANCE)
-        return [opening for opening in found if opening[2] >= 0.9 * least]
+                openings.append((q, *waiting))
+        least = min(max((clearance for *_, clearance in openings), default=0.0), APPROACH_CLEARANCE)
+        return [opening for opening in openings if opening[2] >= 0.9 * least]
 
     def _candidates(self, q_start: np.ndarray, offset: float, spacing: float | None) -> list["_Candidate"]:
         """Returns contacts within reach, the most promising first; for the arguments see `_search`.

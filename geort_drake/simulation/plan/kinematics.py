@@ -265,12 +265,12 @@ class GraspKinematics:
         Convex hulls of some hands overlap; no posture would be clear of such pairs.
         """
         links = map(self._plant.get_body, self._plant.GetBodyIndices(self._hand))
-        own = {geometry for link in links for geometry in self._plant.GetCollisionGeometriesForBody(link)}
+        shapes = {geometry for link in links for geometry in self._plant.GetCollisionGeometriesForBody(link)}
         query = self._plant.get_geometry_query_input_port().Eval(self._plant_context)
         scene_graph = self._diagram.GetSubsystemByName("scene_graph")
         filters = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(self._context))
         for pair in query.ComputeSignedDistancePairwiseClosestPoints(_CLEARANCE):
-            if {pair.id_A, pair.id_B} <= own:
+            if {pair.id_A, pair.id_B} <= shapes:
                 a, b = GeometrySet([pair.id_A]), GeometrySet([pair.id_B])
                 filters.Apply(CollisionFilterDeclaration().ExcludeBetween(a, b))
 
