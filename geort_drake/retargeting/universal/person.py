@@ -106,8 +106,8 @@ class UniversalRetargeter(Retargeter):
     def for_person(self, p_HK: np.ndarray) -> MlpRetargeter:
         """Returns the map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m; it never changes.
 
-        `MEASURED_FRAMES` frames are enough. The map's `trained_space` contains the fingertips' positions in
-        the given frames.
+        `MEASURED_FRAMES` frames are enough; bad ones are left out, see `checks.good_frames`. The map's
+        `trained_space` contains the fingertips' positions in the others.
 
         Raises:
             ValueError: points have another shape.
