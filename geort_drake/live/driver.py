@@ -40,8 +40,8 @@ class JointDriver:
         endpoint: ZeroMQ endpoint of `geort-drake live --robot zmq+ENDPOINT`.
         names: names of the n joints, as in the hand's model.
         position: (n,) where the joints stand, rad.
-        lower, upper: (n,) or scalar position limits, rad; a robot that stands outside of them moves back
-            at `speed` when it follows targets.
+        lower, upper: (n,) or scalar position limits, rad, infinite where there are none; a robot that stands
+            outside of them moves back at `speed` when it follows targets.
         speed: (n,) or scalar speed limit, rad/s.
         rate: steps per second; `step` waits for the next one.
         clock, sleep: monotonic clock, s, and function that waits.
@@ -128,14 +128,15 @@ class JointDriver:
         return self._command.copy()
 
     def _per_joint(self, name: str, value: np.ndarray | float) -> np.ndarray:
-        """Returns an argument as finite numbers (n,); a single limit or speed is that of all joints."""
+        """Returns an argument as numbers (n,); a single limit or speed is that of all joints."""
         array = np.asarray(value, float)
         if array.ndim == 0 and name != "position":
             array = np.full(len(self.names), float(array))
         if array.shape != (len(self.names),):
             raise LiveError(f"driver: {name} must be {len(self.names)} numbers, not of shape {array.shape}")
         for joint, number in zip(self.names, array, strict=True):
-            if not np.isfinite(number):
+            unlimited = np.isinf(number) and name in ("lower", "upper")
+            if not (np.isfinite(number) or unlimited):
                 raise LiveError(f"driver: {name} of joint '{joint}' must be finite, not {number}")
         return array.copy()
 
