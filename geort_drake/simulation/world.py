@@ -32,7 +32,7 @@ from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario, object_file
 
 ARM, HAND = "arm", "hand"  # names of model instances
-_MESH_SIZE = 0.004  # m; edges of hydroelastic meshes, a third of a fingertip's radius
+_MESH_SIZE = 0.008  # m; edges of hydroelastic meshes, two thirds of a fingertip's radius
 
 
 @dc.dataclass(frozen=True)

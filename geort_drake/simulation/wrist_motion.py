@@ -32,13 +32,17 @@ class WristMovement:
         t: float,
         config: "OperatorConfig",
         rng: np.random.Generator,
+        peak_speed: str = "peak_wrist_speed",
     ) -> "WristMovement":
-        """Plans a movement from X_WH by shift (m) and turn in W, with motor noise, that starts at t (s)."""
+        """Plans a movement from X_WH by shift (m) and turn in W, with motor noise, that starts at t (s).
+
+        `peak_speed` is the name of the parameter that limits its speed.
+        """
         error = rng.normal(0, config.motor_noise / np.sqrt(3), 3) * np.linalg.norm(shift)
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
         duration = max(
             config.min_movement_time,
-            1.875 * float(np.linalg.norm(shift)) / config.peak_wrist_speed,
+            1.875 * float(np.linalg.norm(shift)) / getattr(config, peak_speed),
             1.875 * float(Rotation.from_matrix(turn.matrix()).magnitude()) / config.peak_wrist_turn,
         )
         X_end = RigidTransform(turn @ X_WH.rotation(), X_WH.translation() + shift + error)

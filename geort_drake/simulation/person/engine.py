@@ -65,6 +65,7 @@ class Phase(NamedTuple):
             only those who have learned know another one.
         from_seen: whether the intended motion begins where the fingertips are seen, not where they were meant
             to be.
+        wrist_speed: name of the parameter with the wrist's peak speed.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Phase(NamedTuple):
     error: Callable[["Moment", np.ndarray], np.ndarray] | None = None
     press: Callable[["Moment"], np.ndarray] | None = None
     from_seen: bool = False
+    wrist_speed: str = "peak_wrist_speed"
 
 
 def opposition(p_F: np.ndarray, touches: np.ndarray, thumb: int) -> np.ndarray:
@@ -476,7 +478,9 @@ class Person:
         if m.wrist_rests and (target := phase.wrist(m)) is not None:
             shift = target.translation() - m.seen.X_WB.translation()
             turn = target.rotation() @ m.seen.X_WB.rotation().inverse()
-            memory.movement = WristMovement.planned(memory.X_WH, shift, turn, m.t, self._config, self._rng)
+            memory.movement = WristMovement.planned(
+                memory.X_WH, shift, turn, m.t, self._config, self._rng, phase.wrist_speed
+            )
             memory.movements += 1
         # Two periods after its end, the last pose has been applied, and the wrist stays there.
         movement = memory.movement

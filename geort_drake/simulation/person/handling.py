@@ -15,6 +15,8 @@ from geort_drake.systems.port_values import rotation_of_vector
 
 # Unit forces of thumb and fingers whose sum is larger need the palm: half a unit is within friction.
 _UNBALANCED = 0.5
+# A placed object that is tilted by more stands on another side, rad.
+_MAX_TILT = math.radians(30)
 
 
 @dc.dataclass(frozen=True)
@@ -23,12 +25,10 @@ class Placing:
 
     Attributes:
         hover: height above its place from which the object is lowered, m.
-        upright: whether the person turns the object upright; otherwise, its tilt is left to gravity.
         task: the task's own settings.
     """
 
     hover: float
-    upright: bool
     task: Any = None
 
 
@@ -51,7 +51,8 @@ def _around(m: Moment, depth: float) -> np.ndarray:
 
 def gather(m: Moment) -> np.ndarray:
     """gather just off the surface"""
-    return _around(m, -m.config.aperture)
+    # People open wider the less well they see (Wing, Turton and Fraser 1986; Jakobson and Goodale 1991).
+    return _around(m, -max(m.config.aperture, 2 * m.config.visual_error))
 
 
 def close(m: Moment) -> np.ndarray:
@@ -81,10 +82,15 @@ def hold(m: Moment) -> None:
 # -- how the own hand presses
 
 
+def _felt(m: Moment) -> np.ndarray:
+    """Returns the felt forces (F,), N, averaged since the squeeze began."""
+    force = m.recall("contact")
+    return m.seen.contact if force is None else force
+
+
 def _grip(m: Moment) -> float:
     """Returns the felt force of the grip, N: that of the thumb, or of all others if it is less."""
-    force = m.recall("contact")
-    force = m.seen.contact if force is None else force
+    force = _felt(m)
     thumb = force[m.thumb]
     return min(thumb, force[m.goal.touches].sum() - thumb)
 
@@ -122,33 +128,42 @@ def _inwards(m: Moment, touches: np.ndarray) -> np.ndarray:
     return way
 
 
-def _pressing(m: Moment, is_firm: bool) -> np.ndarray:
-    """Returns velocities (F, 3), m/s, with which fingertips close further, and press if they are not firm.
+def _pressing(m: Moment, share: float) -> np.ndarray:
+    """Returns velocities (F, 3), m/s, with which fingertips close further, and press where the grip is weak.
 
-    Those that feel the object press against each other. A side that feels it alone rests, because pressing
-    would push the object.
+    Those that feel the object press against each other, each finger until it has its part of the grip: one
+    that pressed harder than the others would push the object out between them. A side that feels it alone
+    rests, because pressing would push the object.
+
+    Args:
+        share: share of the wanted force below which a finger presses.
     """
     touches, config, pressed = m.goal.touches, m.config, m.recall("pressed")
     # A person without touch takes all to be touching.
     feels = touches & m.feels if config.touch else touches
     velocity = config.closing_speed * _inwards(m, touches)
     velocity[feels] = 0.0
-    if feels[m.thumb] and np.count_nonzero(feels) > 1 and not is_firm:
-        velocity += config.squeeze_speed * _inwards(m, feels)
+    if feels[m.thumb] and np.count_nonzero(feels) > 1 and not _is_firm(m, share):
+        others = touches & (np.arange(len(touches)) != m.thumb)
+        part = share * _wanted_grip(m) / np.count_nonzero(others)
+        weak = feels & others & (_felt(m) < part)
+        velocity += config.squeeze_speed * _inwards(m, weak if weak.any() else feels)
     velocity *= np.linalg.norm(pressed, axis=1).max() < config.squeeze
-    contact = averaged(m.recall("contact"), m.seen.contact, config)
-    m.note(pressed=pressed + config.period * velocity, contact=contact)
+    m.note(
+        pressed=pressed + config.period * velocity,
+        contact=averaged(m.recall("contact"), m.seen.contact, config),
+    )
     return velocity
 
 
 def squeeze(m: Moment) -> np.ndarray:
     """Returns velocities (F, 3), m/s, of digits that press towards each other until the grip is firm."""
-    return _pressing(m, _is_firm(m))
+    return _pressing(m, 1.0)
 
 
 def regrip(m: Moment) -> np.ndarray:
     """Returns velocities (F, 3), m/s, of digits that press more where the grip weakens to half or less."""
-    return _pressing(m, _is_firm(m, 0.5))
+    return _pressing(m, 0.5)
 
 
 def relax(m: Moment) -> np.ndarray:
@@ -229,13 +244,17 @@ def rise(m: Moment) -> RigidTransform | None:
     return RigidTransform([0, 0, m.config.lift_height]) @ m.seen.X_WB
 
 
+def _tilt_to_place(m: Moment) -> RotationMatrix:
+    """Returns the seen rotation in W that turns the object upright, as it belongs at its place."""
+    assert m.seen.X_WP is not None  # tasks with a place show it
+    return _tilt_to(m.seen.X_WO.rotation().col(2), m.seen.X_WP.rotation().col(2))
+
+
 def _to_place(m: Moment) -> RigidTransform:
     """Returns the seen motion from object to place: rotation and translation of the origin in W."""
     X_WO, X_WP = m.seen.X_WO, m.seen.X_WP
     assert X_WP is not None  # tasks with a place show it
-    R = RotationMatrix()
-    if m.settings.upright:
-        R = _tilt_to(X_WO.rotation().col(2), X_WP.rotation().col(2))
+    R = _tilt_to_place(m)
     yaw, symmetry = yaw_of(X_WP.rotation()) - yaw_of(R @ X_WO.rotation()), m.goal.yaw_symmetry
     yaw = math.remainder(yaw, symmetry) if symmetry else 0.0
     return RigidTransform(RotationMatrix.MakeZRotation(yaw) @ R, X_WP.translation() - X_WO.translation())
@@ -250,13 +269,14 @@ def _above_place(m: Moment) -> RigidTransform:
 
 def carry(m: Moment) -> RigidTransform | None:
     """brings the object above its place, as if their own hand held it"""
-    return _go(m, _above_place(m), m.config.place_tolerance)
+    return _go(m, _above_place(m), m.tolerance(m.config.place_tolerance))
 
 
 def lower(m: Moment) -> RigidTransform | None:
-    """lowers the object onto its place"""
+    """slowly lowers the object onto its place, until it stays behind the hand"""
     if m.memory.movement is not None:
         return None
+    m.note(p_BO_carried=m.memory.p_BO)
     down = min(_to_place(m).translation()[2], 0.0) - m.config.place_overshoot
     return RigidTransform([0, 0, down]) @ m.seen.X_WB
 
@@ -296,18 +316,28 @@ def is_before(m: Moment) -> str | None:
     # Fingers at their limit may miss by up to the clearance.
     near = m.goal.clearance if m.fingers_at_limit else 0.0
     shaped = m.worst_error < m.tolerance(max(m.config.shape_tolerance, near))
-    return "approach" if shaped and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance)) else None
+    if not (shaped and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
+        return None
+    m.note(p_WO=m.seen.X_WO.translation())
+    return "approach"
+
+
+def _is_pushed(m: Moment) -> bool:
+    """Whether the object is seen to have moved since the approach: one that rolls is caught at once."""
+    return bool(np.linalg.norm(m.seen.X_WO.translation() - m.recall("p_WO")) > m.config.visual_error)
 
 
 def is_around(m: Moment) -> str | None:
-    """hand in place"""
-    return "surround" if m.has_arrived(_at_object(m), m.tolerance(m.config.reach_tolerance)) else None
+    """hand in place, or the object moves"""
+    arrived = m.has_arrived(_at_object(m), m.tolerance(m.config.reach_tolerance))
+    return "surround" if arrived or _is_pushed(m) else None
 
 
 def is_gathered(m: Moment) -> str | None:
-    """fingers shaped"""
+    """fingers shaped, or the object moves"""
     m.note(closing=False)
-    if not m.wrist_rests or not _is_shaped(m, m.config.aperture_tolerance):
+    shaped = m.wrist_rests and _is_shaped(m, m.config.aperture_tolerance)
+    if not (shaped or _is_pushed(m)):
         return None
     m.note(closing=True)
     return "close"
@@ -352,17 +382,25 @@ def is_lost(m: Moment) -> str | None:
 
 def is_carried(m: Moment) -> str | None:
     """hand in place, or object lost"""
-    return _lost(m) or ("lower" if m.has_arrived(_above_place(m), m.config.place_tolerance) else None)
+    return _lost(m) or (
+        "lower" if m.has_arrived(_above_place(m), m.tolerance(m.config.place_tolerance)) else None
+    )
 
 
 def is_down(m: Moment) -> str | None:
     """object on its place, or on something else, or lost"""
     if lost := _lost(m):
         return lost
-    if not (m.wrist_rests and m.memory.movement is not None):
+    if m.memory.movement is None:
         return None
-    # An object that is still above its place stands on something else.
-    return "open" if _to_place(m).translation()[2] > -m.config.reach_tolerance else "carry"
+    risen = m.seen.X_WB.rotation().matrix()[2] @ (m.memory.p_BO - m.recall("p_BO_carried"))
+    if not (m.wrist_rests or risen > 3 * m.config.visual_error):
+        return None
+    # An object that is still above its place stands on something else, and is held where it has slid to.
+    if _to_place(m).translation()[2] > -m.config.reach_tolerance:
+        return "open"
+    m.note(p_BO=m.memory.p_BO)
+    return "carry"
 
 
 def is_open(m: Moment) -> str | None:
@@ -373,9 +411,10 @@ def is_open(m: Moment) -> str | None:
 
 
 def has_retreated(m: Moment) -> str | None:
-    """the object is seen off its place"""
+    """the object is seen off its place, or not upright there"""
     off = np.linalg.norm(_to_place(m).translation()) > 2 * m.config.reach_tolerance
-    if not (off and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
+    tilt = _tilt_to_place(m).ToAngleAxis().angle()
+    if not ((off or tilt > _MAX_TILT) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
     m.memory.attempt += 1
     return "reach"
@@ -395,7 +434,7 @@ PLACE = (
     *_GRASP[:-1],
     Phase("lift", hold, lambda m: "carry" if (end := is_lifted(m)) == "hold" else end, rise, press=regrip),
     Phase("carry", hold, is_carried, carry, press=regrip),
-    Phase("lower", hold, is_down, lower, press=regrip),
+    Phase("lower", hold, is_down, lower, press=regrip, wrist_speed="lowering_speed"),
     Phase("open", shape, is_open, rest, speed="opening_speed", error=outwards, press=relax),
     Phase("retreat", shape, has_retreated, go_before),
     _RELEASE,

@@ -67,7 +67,6 @@ TRANSFER = Transfer(
     },
     place=_place,
     hover=0.02,
-    upright=False,
     add_fixtures=_draw_place,
 )
 TASK = TRANSFER.task(
