@@ -120,12 +120,14 @@ class Transfer(NamedTuple):
         steps: the steps, in order.
         place: returns X_WP from scenario, side of the hand and generator.
         hover: height above its place from which the person lowers the object, m.
+        upright: whether the person turns the object exactly upright, see `Placing`.
         add_fixtures: adds geometry that depends on the place.
     """
 
     steps: Steps
     place: Callable[[Scenario, str, np.random.Generator], RigidTransform]
     hover: float
+    upright: bool
     add_fixtures: Callable[[MultibodyPlant, RigidTransform], None] = lambda plant, X_WP: None
 
     def add(self, site: Site) -> Handled:
@@ -146,5 +148,5 @@ class Transfer(NamedTuple):
 
     def task(self, **fields: Any) -> Task:
         """Returns a task with these further fields of `Task`."""
-        placing = Placing(self.hover)
+        placing = Placing(self.hover, self.upright)
         return Task(add=self.add, phases=PLACE, placing=placing, percepts=("place_pose",), **fields)

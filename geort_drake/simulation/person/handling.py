@@ -25,10 +25,13 @@ class Placing:
 
     Attributes:
         hover: height above its place from which the object is lowered, m.
+        upright: whether the person turns the object exactly upright. Otherwise, a small tilt is left to
+            what it is put on: an object that hangs between two fingertips does not turn with the hand.
         task: the task's own settings.
     """
 
     hover: float
+    upright: bool
     task: Any = None
 
 
@@ -245,9 +248,10 @@ def rise(m: Moment) -> RigidTransform | None:
 
 
 def _tilt_to_place(m: Moment) -> RotationMatrix:
-    """Returns the seen rotation in W that turns the object upright, as it belongs at its place."""
+    """Returns the rotation in W by which the person turns the object upright, as it belongs at its place."""
     assert m.seen.X_WP is not None  # tasks with a place show it
-    return _tilt_to(m.seen.X_WO.rotation().col(2), m.seen.X_WP.rotation().col(2))
+    R = _tilt_to(m.seen.X_WO.rotation().col(2), m.seen.X_WP.rotation().col(2))
+    return R if m.settings.upright or R.ToAngleAxis().angle() > _MAX_TILT else RotationMatrix()
 
 
 def _to_place(m: Moment) -> RigidTransform:
@@ -413,8 +417,8 @@ def is_open(m: Moment) -> str | None:
 def has_retreated(m: Moment) -> str | None:
     """the object is seen off its place, or not upright there"""
     off = np.linalg.norm(_to_place(m).translation()) > 2 * m.config.reach_tolerance
-    tilt = _tilt_to_place(m).ToAngleAxis().angle()
-    if not ((off or tilt > _MAX_TILT) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
+    tilted = _tilt_to_place(m).ToAngleAxis().angle() > _MAX_TILT
+    if not ((off or tilted) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
     m.memory.attempt += 1
     return "reach"

@@ -61,6 +61,7 @@ TRANSFER = Transfer(
     },
     place=_place,
     hover=_DEPTH + 0.02,
+    upright=True,
 )
 TASK = TRANSFER.task(
     name="peg",

@@ -67,6 +67,7 @@ TRANSFER = Transfer(
     },
     place=_place,
     hover=0.02,
+    upright=False,
     add_fixtures=_draw_place,
 )
 TASK = TRANSFER.task(
