@@ -14,10 +14,11 @@ from geort_drake import synthesize_play
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 from geort_drake.simulation.person.config import OperatorConfig
-from geort_drake.simulation.person.engine import KINDS, Person, opposition
+from geort_drake.simulation.person.engine import KINDS, Moment, Person, opposition
 from geort_drake.simulation.person.finger_motion import FingerMotion
-from geort_drake.simulation.person.handling import GRASP, PLACE, Placing
+from geort_drake.simulation.person.handling import GRASP, PLACE, Placing, is_down, is_gathered, squeeze
 from geort_drake.simulation.person.perception import FreePlay, Seen
+from geort_drake.simulation.wrist_motion import WristMovement
 
 QUIET = dict.fromkeys(
     ("visual_noise", "visual_depth_noise", "visual_turn_noise", "contact_noise", "motor_noise"), 0.0
@@ -216,6 +217,57 @@ def test_a_person_turns_a_tilted_object_upright_or_leaves_a_small_tilt(upright, 
     np.testing.assert_allclose((X_WB @ X_BO).translation(), [0.5, 0.2, 0.17], atol=1e-9)
     up = (X_WB @ X_BO).rotation().matrix()[2, 2]
     assert up == pytest.approx(1.0 if upright or roll > 1 else X_WO.rotation().matrix()[2, 2])
+
+
+def moment(world: StandInWorld, phase: str, seen: Seen, rng: np.random.Generator, **notes) -> Moment:
+    """What a person decides upon, one second after a phase of `PLACE` began."""
+    placing = Placing(hover=0.02, upright=False)
+    person = Person(world.hand, world.goal, PLACE, "servo", world.config, placing, rng)
+    p_BO = (seen.X_BW @ seen.X_WO).translation()
+    memory = dc.replace(
+        person.start(RigidTransform()),
+        phase=[row.name for row in PLACE].index(phase),
+        p_BO=p_BO,
+        error=np.zeros((4, 3)),
+        movement=WristMovement(RigidTransform(), RigidTransform(), 0.0, 9.0),
+        notes={"p_BO": p_BO, **notes},
+    )
+    return Moment(1.0, seen, memory, np.zeros((4, 3)), world.goal, world.config, placing)
+
+
+@pytest.mark.parametrize(
+    ("slid", "below", "following"), [(0.0, 0.03, None), (0.03, 0.03, "carry"), (0.03, 0.0, "open")]
+)
+def test_a_hand_stops_lowering_what_stays_behind_it(slid, below, following, rng):
+    """An object that stands above its place is raised again; one that stands at its place is let go."""
+    world = StandInWorld(1.0, OperatorConfig())
+    X_WO = RigidTransform([0.5, 0.2, 0.15])
+    seen = Seen(
+        np.zeros((4, 3)), world.X_WB, X_WO, np.ones(4), RigidTransform(X_WO.translation() - [0, 0, below])
+    )
+    before = (seen.X_BW @ X_WO).translation() - seen.X_BW.rotation().matrix() @ [0, 0, slid]
+    m = moment(world, "lower", seen, rng, p_BO_carried=before)
+    assert is_down(m) == following
+
+
+@pytest.mark.parametrize(("pushed", "following"), [(0.0, None), (0.01, "close")])
+def test_an_object_that_moves_while_the_hand_surrounds_it_is_grasped_at_once(pushed, following, rng):
+    """However far the fingers still are; the wrist is on its way."""
+    world = StandInWorld(1.0, OperatorConfig())
+    seen = Seen(np.zeros((4, 3)), world.X_WB, world.X_WO, np.zeros(4))
+    m = moment(world, "surround", seen, rng, p_WO=world.X_WO.translation() + [pushed, 0, 0])
+    assert is_gathered(m) == following
+
+
+def test_each_finger_presses_until_it_has_its_part_of_the_grip(rng):
+    """One that presses harder than the other would push the object out between them."""
+    world = StandInWorld(1.0, OperatorConfig())
+    force = OperatorConfig().grip_force
+    contact = np.array([0.9, 0.1, 0.8, 0.0]) * force
+    seen = Seen(world.X_WB.multiply(world.goal.p_BF_open.T).T, world.X_WB, world.X_WO, contact)
+    m = moment(world, "squeeze", seen, rng, pressed=np.zeros((4, 3)), contact=contact)
+    speed = np.linalg.norm(squeeze(m), axis=1)
+    assert speed[1] > 0.01 and speed[0] == pytest.approx(speed[1]) and speed[2] == speed[3] == 0
 
 
 @pytest.mark.parametrize("kind", ["adaptive", "servo"])
