@@ -208,8 +208,8 @@ def tiny_work(light_desk, play, light_benchmark):
     goal = planned_goal("cylinder")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(retargeting_train, "train_map", tiny)
-        patch.setattr(GraspPlanner, "plans", lambda _: [goal])  # no trial lasts long enough to follow one
         plan_once(patch, "cap", "keys", "peg")
+        patch.setattr(GraspPlanner, "plans", lambda _: [goal])  # no trial lasts long enough to follow one
         (light_desk / "work").mkdir()
         patch.chdir(light_desk / "work")
         np.save("hand.npy", play.p_HK.astype(float))
