@@ -250,6 +250,20 @@ def test_a_hand_stops_lowering_what_stays_behind_it(slid, below, following, rng)
     assert is_down(m) == following
 
 
+def test_a_hand_lowers_what_it_holds_slowly(rng):
+    """From 0.1 m above its place; other movements of the wrist are faster."""
+    world, config = StandInWorld(1.0, OperatorConfig()), OperatorConfig()
+    X_WP = RigidTransform(world.X_WO.translation() - [0, 0, 0.1])
+    m = moment(world, "lower", Seen(np.zeros((4, 3)), world.X_WB, world.X_WO, np.ones(4), X_WP), rng)
+    m.memory.movement = None
+    person = Person(world.hand, world.goal, PLACE, "servo", config, m.settings, rng)
+    person._move_wrist(m)
+    movement = m.memory.movement
+    way = np.linalg.norm(movement.X_end.translation() - movement.X_start.translation())
+    peak = 1.875 * way / movement.duration
+    assert 0.9 * config.lowering_speed < peak < 1.1 * config.lowering_speed < config.peak_wrist_speed
+
+
 @pytest.mark.parametrize(("pushed", "following"), [(0.0, None), (0.01, "close")])
 def test_an_object_that_moves_while_the_hand_surrounds_it_is_grasped_at_once(pushed, following, rng):
     """However far the fingers still are; the wrist is on its way."""

@@ -88,7 +88,9 @@ class OperatorConfig:
     # shifts by the midrange of their errors, if that is larger than `shift_tolerance`, m.
     patience: float = 0.5
     shift_tolerance: float = 0.003
-    # Distance of the fingertips from the object's surface before closing, and its tolerance, m.
+    # Least distance of the fingertips from the object's surface before closing, and its tolerance, m. The
+    # distance is twice the error of vision if that is more: people open wider the less well they see (Wing,
+    # Turton and Fraser 1986; Jakobson and Goodale 1991).
     aperture: float = 0.008
     aperture_tolerance: float = 0.007
     # Depth below the surface that closing fingertips aim for, m.

@@ -54,7 +54,6 @@ def _around(m: Moment, depth: float) -> np.ndarray:
 
 def gather(m: Moment) -> np.ndarray:
     """gather just off the surface"""
-    # People open wider the less well they see (Wing, Turton and Fraser 1986; Jakobson and Goodale 1991).
     return _around(m, -max(m.config.aperture, 2 * m.config.visual_error))
 
 
