@@ -87,7 +87,7 @@ def until(page, holds, interval_ms: int = 50) -> None:
     """Waits; the page's own `wait_for_function` evaluates strings, which the server's policy forbids."""
     deadline = time.monotonic() + PATIENCE_S
     while not holds():
-        assert time.monotonic() < deadline
+        assert time.monotonic() < deadline, f"the page says {page.inner_text('body')!r}"
         page.wait_for_timeout(interval_ms)
 
 

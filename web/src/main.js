@@ -187,8 +187,15 @@ element("pointer").onclick = () =>
     view.controls.enabled = false;
     pointer.start();
   });
-for (const button of document.querySelectorAll("[data-grip]"))
-  button.onclick = () => pointer.toggle(button.dataset.grip);
+for (const button of document.querySelectorAll("[data-grip]")) {
+  const toggleGrip = () => pointer.toggle(button.dataset.grip);
+  button.onclick = toggleGrip;
+  // Browsers send no click after a long press, nor while a page glides.
+  button.addEventListener("touchend", (event) => {
+    event.preventDefault(); // the click would toggle once more
+    toggleGrip();
+  });
+}
 element("reach").oninput = ({ target }) => pointer.reach(Number(target.value));
 
 /** The server changes between its simulated person and one's own hand. */
