@@ -86,7 +86,8 @@ class ArmBench(SystemBench):
     def __init__(self):
         scenario = load_scenario()
         description = load_hand(scenario.hand)
-        robot = RobotModel(scenario, description).standing_at({})
+        self._robot = robot = RobotModel(scenario, description).standing_at({})
+        self._robot_context = robot.CreateDefaultContext()
         plant = robot.plant()
         arm, hand = (plant.GetModelInstanceByName(name) for name in (ARM, HAND))
         base = plant.GetFrameByName(description.base_frame, hand)
@@ -110,6 +111,24 @@ class ArmBench(SystemBench):
     def hand_position(self, q: np.ndarray) -> np.ndarray:
         """p_WB (3,), m, of the hand with the arm at positions q (7,), rad."""
         return self._hand_pose(q).translation().copy()
+
+    def arm_clearance(self, q: np.ndarray) -> float:
+        """Least signed distance, m, of the arm's links from the table within 0.2 m, at positions q (7,), rad.
+
+        The base is not counted, as it stands on the table.
+        """
+        plant, context = self._robot.plant(), self._robot_context
+        plant.SetPositions(plant.GetMyMutableContextFromRoot(context), plant.GetModelInstanceByName(ARM), q)
+        query = plant.get_geometry_query_input_port().Eval(plant.GetMyContextFromRoot(context))
+        table = set(plant.GetCollisionGeometriesForBody(plant.GetBodyByName("table_top")))
+        links = {
+            shape
+            for number in range(1, 8)
+            for shape in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(f"panda_link{number}"))
+        }
+        pairs = query.ComputeSignedDistancePairwiseClosestPoints(0.2)
+        distances = [p.distance for p in pairs if {p.id_A, p.id_B} & links and {p.id_A, p.id_B} & table]
+        return min(distances, default=0.2)
 
     def tick(self, X_WH: RigidTransform, valid: float = 1.0) -> tuple[np.ndarray, np.ndarray, str]:
         """One update; returns the arm's positions (rad) and velocities (rad/s), and the wrist's state."""

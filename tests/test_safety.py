@@ -223,6 +223,20 @@ def test_an_arm_that_is_engaged_again_does_not_jump(gap):
     assert not bench.broken
 
 
+@pytest.mark.parametrize("turn", [0.0, 1.0, -1.0])
+def test_the_arms_links_stay_off_the_table(turn):
+    """However low and far the wrist goes; the hand itself may touch what lies on the table."""
+    bench = ArmBench()
+    clearance = []
+    for tick in range(400):
+        way = 0.5 - 0.5 * math.cos(math.pi * min(tick, 200) / 200)
+        X_WH = RigidTransform(RollPitchYaw(0.0, turn * way, 0.0), [0.2 * way, -0.25 * way, -0.6 * way])
+        q, *_ = bench.tick(X_WH)
+        clearance.append(bench.arm_clearance(q))
+    assert 0.003 < min(clearance) < 0.03  # and they come near it
+    assert not bench.broken
+
+
 def test_a_tracker_that_jumps_is_not_followed_there():
     """It is followed again from where it jumped to, and so the arm stays."""
     bench = ArmBench()

@@ -38,6 +38,10 @@ _MAX_GAP = 0.04
 _MAX_SPEED = 3.0  # m/s
 _MAX_ROTATION_SPEED = 20.0  # rad/s; a MANUS recording at 118 Hz peaks at 8
 _SETTLE_TIME = 0.1  # s, for which the pose must be good before it is followed again
+# m; the arm's links keep the first distance from the surroundings, and mind what is within the second.
+_SAFETY_DISTANCE, _INFLUENCE_DISTANCE = 0.01, 0.05
+# s; within a time as short as the period, a link could not brake before an obstacle.
+_HORIZON = 0.1
 _ROUNDING = 1e-9  # s; of sums of periods
 
 
@@ -260,7 +264,8 @@ class WristToArm(Diagram, metaclass=Freeable):
         arm_desired_state (2·na): the arm's joint positions (rad), then velocities (rad/s), plant order.
 
     It consists of `Clutch`, Drake's DifferentialInverseKinematicsSystem, which keeps the arm's position and
-    speed limits, and a system that integrates its velocities from the robot's default positions.
+    speed limits and its links off the surroundings, and a system that integrates its velocities from the
+    robot's default positions.
 
     Args:
         robot: robot and surroundings; its default positions are the start and the nominal posture.
@@ -300,15 +305,10 @@ class WristToArm(Diagram, metaclass=Freeable):
         inverse_kinematics = DifferentialIK(
             recipe=_recipe(config, plant, active, speed),
             task_frame=plant.world_frame().scoped_name().get_full(),
-            collision_checker=SceneGraphCollisionChecker(
-                model=robot,
-                robot_model_instances=[arm, hand_frame.model_instance()],
-                edge_step_size=0.1,
-                implicit_context_parallelism=Parallelism(False),
-            ),
+            collision_checker=_collision_checker(robot, arm, hand_frame),
             active_dof=DofMask(active.tolist()),
-            time_step=config.period,
-            K_VX=config.pose_gain,
+            time_step=_HORIZON,
+            K_VX=config.pose_gain * _HORIZON / config.period,
             Vd_TG_limit=SpatialVelocity(
                 w=np.full(3, config.max_rotation_speed), v=np.full(3, config.max_translation_speed)
             ),
@@ -347,10 +347,36 @@ class WristToArm(Diagram, metaclass=Freeable):
         builder.BuildInto(self)
 
 
+def _collision_checker(
+    robot: RobotDiagram, arm: ModelInstanceIndex, hand_frame: Frame
+) -> SceneGraphCollisionChecker:
+    """Returns a checker of collisions between the arm's moving links and what does not move with the arm."""
+    plant, hand = robot.plant(), hand_frame.model_instance()
+    checker = SceneGraphCollisionChecker(
+        model=robot,
+        robot_model_instances=[arm, hand],
+        edge_step_size=0.1,
+        implicit_context_parallelism=Parallelism(False),
+    )
+    moving = plant.GetBodiesKinematicallyAffectedBy(plant.GetJointIndices(arm))
+    for index in [*plant.GetBodyIndices(arm), *plant.GetBodyIndices(hand)]:
+        body = plant.get_body(index)
+        if index not in moving or body.model_instance() == hand:  # the person sees what the hand meets
+            checker.SetCollisionFilteredWithAllBodies(body)
+            continue
+        for other in moving:
+            if other != index:
+                checker.SetCollisionFilteredBetween(body, plant.get_body(other), True)
+    return checker
+
+
 def _recipe(
     config: WristToArmConfig, plant: MultibodyPlant, active: np.ndarray, speed: np.ndarray
 ) -> DifferentialIK.Recipe:
-    """Returns a recipe that follows the pose and, in its null space, the nominal posture, within limits."""
+    """Returns a recipe that follows the pose and, in its null space, the nominal posture, within limits.
+
+    The arm's links stay clear of the surroundings; the hand does not, as it shall touch things.
+    """
     recipe = DifferentialIK.Recipe()
     follow = DifferentialIK.LeastSquaresCost.Config(cartesian_qp_weight=100.0)
     recipe.AddIngredient(DifferentialIK.LeastSquaresCost(follow))
@@ -368,4 +394,8 @@ def _recipe(
         acceleration_upper=unlimited,
     )
     recipe.AddIngredient(DifferentialIK.JointVelocityLimitConstraint(margins, limits))
+    distances = DifferentialIK.CollisionConstraint.Config(
+        safety_distance=_SAFETY_DISTANCE, influence_distance=_INFLUENCE_DISTANCE
+    )
+    recipe.AddIngredient(DifferentialIK.CollisionConstraint(distances))
     return recipe
