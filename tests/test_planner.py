@@ -33,6 +33,7 @@ from geort_drake.simulation.plan.contacts import (
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.plan.kinematics import GraspKinematics
 from geort_drake.simulation.scenario import object_file
+from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.world import HAND, add_object, add_robot
 
 TIP_RADIUS = 0.012
@@ -98,6 +99,22 @@ def test_every_object_has_a_grip_and_one_unlisted_or_out_of_reach_is_refused_by_
     scenario = scenario_with("sphere", "object: { position: [1.6, 0.0] }")
     with pytest.raises(ScenarioError, match=r"cannot grasp object 'sphere' at \[1\.6, 0\.0\]"):
         GraspPlanner(scenario, allegro().description).plans(2)[0]
+
+
+@pytest.mark.parametrize(
+    ("there", "reached"),
+    [([0.45, -0.15, 0.015], True), ([0.45, -0.15, -0.1], False), ([1.1, -0.15, 0.015], False)],
+    ids=["on the table", "below it", "out of reach"],
+)
+def test_the_arm_reaches_the_place_of_a_planned_object_or_the_place_is_refused(there, reached):
+    """Without collisions, so that a place below the table top is none."""
+    scenario = load_scenario(task="pick_place")
+    planner = GraspPlanner(scenario, allegro().description, "pinch", 0.016, RigidTransform(there))
+    if reached:
+        assert planner.plans(1)
+    else:
+        with pytest.raises(ScenarioError, match=r"with which the arm reaches the place at \["):
+            planner.plans(1)
 
 
 def test_an_object_too_low_for_a_hands_fingertips_is_refused_before_the_trial():

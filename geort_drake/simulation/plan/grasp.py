@@ -54,6 +54,7 @@ class GraspPlanner:
     Args:
         grip: one of `GRIPS`; None for the object's.
         tip_height: height of the fingertips above the object's bottom, m; None for `contact_heights`.
+        X_WP: pose to which the arm must be able to bring the grasped object; None for no such place.
 
     Raises:
         ScenarioError: the hand lacks a finger of the object's grip.
@@ -66,8 +67,10 @@ class GraspPlanner:
         description: HandDescription,
         grip: str | None = None,
         tip_height: float | None = None,
+        X_WP: RigidTransform | None = None,
     ):
         self._grip, self._tip_height = grip or grip_of(scenario.object.name), tip_height
+        self._X_WP = X_WP
         require_fingers(description, GRIPS[self._grip].fingers, f"a {self._grip} grasp needs")
         self._description = description
         self._scenario = scenario
@@ -100,8 +103,11 @@ class GraspPlanner:
         if grasps:
             return [goal for _, goals in sorted(grasps, key=itemgetter(0)) for goal in goals]
         if self._grip in _FALLBACK_GRIPS and self._tip_height is None:
-            return GraspPlanner(self._scenario, self._description, _FALLBACK_GRIPS[self._grip]).plans(enough)
+            fallback = _FALLBACK_GRIPS[self._grip]
+            return GraspPlanner(self._scenario, self._description, fallback, X_WP=self._X_WP).plans(enough)
         reason = f"no collision-free {self._grip} grasp was found"
+        if self._X_WP is not None:
+            reason += f" with which the arm reaches the place at {self._X_WP.translation().round(3).tolist()}"
         if self._tip_height is None and not contact_heights(robot.shape, self._grip, self._lowest):
             bottom, top = vertical_extent(robot.shape)
             reason = (
@@ -145,6 +151,8 @@ class GraspPlanner:
             return None
         discomfort, q_touch = solution
         X_OB = robot.hand_pose(q_touch)
+        if self._X_WP is not None and not robot.reaches(self._X_WP @ X_OB, q_touch):
+            return None
         names = tuple(finger.name for finger in self._description.fingers)
         normals = {contact.part: contact.n_O for contact in candidate.contacts}
         touch = {

@@ -2,11 +2,11 @@
 
 import numpy as np
 from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, SceneGraph
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import RigidBody, UniformGravityFieldElement
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.description import FingerDescription, HandDescription
@@ -30,6 +30,8 @@ _CLEARANCE = 0.002
 _GROUND_CLEARANCE = 0.006
 # Tolerances of the fingertips' positions, m: touching, and open.
 _TOLERANCE, _OPEN_TOLERANCE = 0.001, 0.008
+# Tolerance of the hand's orientation where it brings the object, rad.
+_TURN_TOLERANCE = 0.01
 # Range of the object's contact on the palm before the fingers close, in B, m: gap, sideways, and along the
 # fingers, relative to the knuckles; and the palm's largest tilt, rad.
 _PALM_GAP = (0.002, 0.006)
@@ -80,6 +82,7 @@ class GraspKinematics:
         self.q_default = plant.GetPositions(self._plant_context).copy()
         self.q_middle = self._centred_positions()
         self._ignore_links_close_at_rest()
+        self._carrying_context = self._context_without_object()
 
     def touch(
         self, contacts: list[Contact], palm: Contact | None, guess: np.ndarray, collisions: bool = True
@@ -137,6 +140,23 @@ class GraspKinematics:
         p_OT = self._thumb_tip(q_touch)
         nearest = np.argsort([np.linalg.norm(self._thumb_tip(one) - p_OT) for one in q])
         return [one for one in q[nearest] if not self._collides(one)]
+
+    def reaches(self, X_WB: RigidTransform, q_touch: np.ndarray) -> bool:
+        """Whether the arm can bring the hand to X_WB with the fingers as in q_touch, clear of all else.
+
+        The hand has taken the object along, so its place here does not matter.
+        """
+        ik = InverseKinematics(self._plant, self._carrying_context)
+        world, R = self._plant.world_frame(), X_WB.rotation()
+        near = np.full(3, _TOLERANCE)
+        p_WB = X_WB.translation()
+        ik.AddPositionConstraint(self._base, np.zeros(3), world, p_WB - near, p_WB + near)
+        ik.AddOrientationConstraint(world, R, self._base, RotationMatrix(), _TURN_TOLERANCE)
+        ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
+        others = np.setdiff1d(np.arange(len(q_touch)), self._arm_positions())
+        ik.get_mutable_prog().AddBoundingBoxConstraint(q_touch[others], q_touch[others], ik.q()[others])
+        ik.get_mutable_prog().AddQuadraticErrorCost(np.eye(len(q_touch)), q_touch, ik.q())
+        return solve(ik, q_touch) is not None
 
     def _thumb_tip(self, q: np.ndarray) -> np.ndarray:
         return self.fingertips(q)[self._description.finger_names.index("thumb")]
@@ -273,6 +293,18 @@ class GraspKinematics:
             if {pair.id_A, pair.id_B} <= shapes:
                 a, b = GeometrySet([pair.id_A]), GeometrySet([pair.id_B])
                 filters.Apply(CollisionFilterDeclaration().ExcludeBetween(a, b))
+
+    def _context_without_object(self) -> Context:
+        """Returns a context of the plant in which nothing collides with the object."""
+        root = self._context.Clone()
+        scene_graph = self._diagram.GetSubsystemByName("scene_graph")
+        filters = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(root))
+        inspector = scene_graph.model_inspector()
+        everything = GeometrySet(inspector.GetAllGeometryIds(Role.kProximity))
+        object_shapes = GeometrySet(self._plant.GetCollisionGeometriesForBody(self._object))
+        filters.Apply(CollisionFilterDeclaration().ExcludeBetween(object_shapes, everything))
+        self._carrying_root = root  # owns the plant's
+        return self._plant.GetMyMutableContextFromRoot(root)
 
     def _position_index(self, joint: str) -> int:
         return position_index(self._plant, joint, self._hand)

@@ -1,6 +1,5 @@
 """Peg in hole: lift a dowel and insert it in a hole."""
 
-import numpy as np
 from pydrake.math import RigidTransform
 
 from geort_drake.hands.description import HandDescription
@@ -40,14 +39,15 @@ def _is_in(dowel: CarriedState, depth: float) -> bool:
     return dowel.height < _DEPTH - depth and dowel.offset < 0.005
 
 
-def _place(scenario: Scenario, side: str, rng: np.random.Generator) -> RigidTransform:
+def _hole(side: str) -> RigidTransform:
     """Returns X_WP in the left hole for a left hand, in the right one for a right hand."""
     x, y, z = _HOLE
     return RigidTransform([x, y if side == "left" else -y, z])
 
 
 def _plan(scenario: Scenario, description: HandDescription) -> list[Plan]:
-    return [Plan(goal) for goal in GraspPlanner(scenario, description, "power", _TIP_HEIGHT).plans()]
+    X_WP = _hole(description.side)
+    return [Plan(goal) for goal in GraspPlanner(scenario, description, "power", _TIP_HEIGHT, X_WP).plans()]
 
 
 TRANSFER = Transfer(
@@ -59,7 +59,7 @@ TRANSFER = Transfer(
         "inserted": lambda dowel: _is_in(dowel, 0.020),
         "released": lambda dowel: _is_in(dowel, 0.020) and dowel.touching == 0,
     },
-    place=_place,
+    place=lambda scenario, side, rng: _hole(side),
     hover=_DEPTH + 0.02,
     upright=True,
 )
