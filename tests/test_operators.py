@@ -16,7 +16,17 @@ from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.engine import KINDS, Moment, Person, opposition
 from geort_drake.simulation.person.finger_motion import FingerMotion
-from geort_drake.simulation.person.handling import GRASP, PLACE, Placing, is_down, is_gathered, squeeze
+from geort_drake.simulation.person.handling import (
+    GRASP,
+    PLACE,
+    Placing,
+    has_retreated,
+    is_down,
+    is_gathered,
+    let_go,
+    letting_go_speed,
+    squeeze,
+)
 from geort_drake.simulation.person.perception import FreePlay, Seen
 from geort_drake.simulation.wrist_motion import WristMovement
 
@@ -262,6 +272,42 @@ def test_a_hand_lowers_what_it_holds_slowly(rng):
     way = np.linalg.norm(movement.X_end.translation() - movement.X_start.translation())
     peak = 1.875 * way / movement.duration
     assert 0.9 * config.lowering_speed < peak < 1.1 * config.lowering_speed < config.peak_wrist_speed
+
+
+def test_fingers_let_go_straight_off_the_object_and_open_once_they_no_longer_feel_it(rng):
+    """Along the surface they would turn it over, and a slow one would push it when others have left."""
+    world = StandInWorld(1.0, OperatorConfig())
+    p_BF = world.goal.p_BF_open + rng.normal(0, 0.01, (4, 3))
+    touches = world.goal.touches
+    for feels in (touches, np.zeros(4, bool)):
+        p_WF = world.X_WB.multiply(p_BF.T).T
+        seen = Seen(p_WF, world.X_WB, world.X_WO, feels.astype(float), world.X_WO)
+        m = moment(world, "open", seen, rng, pressed=np.zeros((4, 3)))
+        way, inwards = let_go(m) - p_BF, opposition(p_BF, touches, m.thumb)
+        off = -np.einsum("fi,fi->f", way, inwards) / np.linalg.norm(inwards, axis=1).clip(1e-9)
+        speed = letting_go_speed(m)
+        if feels.any():
+            np.testing.assert_allclose(off[feels], np.linalg.norm(way[feels], axis=1))
+            assert (speed[feels] == world.config.squeeze_speed).all()
+        np.testing.assert_allclose((p_BF + way)[~feels], world.goal.p_BF_open[~feels])
+        assert (speed[~feels] == world.config.opening_speed).all()
+
+
+@pytest.mark.parametrize(
+    ("shift", "turn", "following"),
+    [(0.0, 0.0, None), (0.0, 0.3, "reach"), (0.02, 0.0, "reach"), (0.0, np.pi, None)],
+    ids=["in place", "turned", "beside it", "by half a turn"],
+)
+def test_an_object_that_lies_off_its_place_is_taken_again(shift, turn, following, rng):
+    """By half a turn a block looks the same."""
+    world = StandInWorld(1.0, OperatorConfig())
+    goal = dc.replace(world.goal, yaw_symmetry=np.pi / 2)
+    X_WB = goal.object_frame(world.X_WO) @ goal.X_OB_before
+    turned = RotationMatrix.MakeZRotation(turn) @ world.X_WO.rotation()
+    X_WP = RigidTransform(turned, world.X_WO.translation() + [0, shift, 0])
+    m = moment(world, "retreat", Seen(np.zeros((4, 3)), X_WB, world.X_WO, np.zeros(4), X_WP), rng)
+    m.goal, m.memory.movement = goal, None
+    assert has_retreated(m) == following
 
 
 @pytest.mark.parametrize(("pushed", "following"), [(0.0, None), (0.01, "close")])

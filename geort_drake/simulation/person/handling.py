@@ -15,8 +15,10 @@ from geort_drake.systems.port_values import rotation_of_vector
 
 # Unit forces of thumb and fingers whose sum is larger need the palm: half a unit is within friction.
 _UNBALANCED = 0.5
-# A placed object that is tilted by more stands on another side, rad.
-_MAX_TILT = math.radians(30)
+# Distance ahead of a fingertip that leaves a surface, m.
+_LEAVING_DISTANCE = 0.02
+# An object that is put down with more tilt falls onto another side, rad.
+_MAX_TILT = math.radians(45)
 
 
 @dc.dataclass(frozen=True)
@@ -41,6 +43,21 @@ class Placing:
 def shape(m: Moment) -> np.ndarray:
     """open around the object"""
     return m.goal.p_BF_open
+
+
+def let_go(m: Moment) -> np.ndarray:
+    """straight off the object, then open around it"""
+    target, feels = m.goal.p_BF_open.copy(), m.goal.touches & m.feels
+    inwards = _inwards(m, m.goal.touches)
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+    # A finger that moved along the surface would turn the object over.
+    target[feels] = (m.seen.p_BF - _LEAVING_DISTANCE * inwards)[feels]
+    return target
+
+
+def letting_go_speed(m: Moment) -> np.ndarray:
+    """Returns limits (F,), m/s: fingers leave the object as fast as they squeezed it, and then open."""
+    return np.where(m.goal.touches & m.feels, m.config.squeeze_speed, m.config.opening_speed)
 
 
 def _around(m: Moment, depth: float) -> np.ndarray:
@@ -169,16 +186,19 @@ def regrip(m: Moment) -> np.ndarray:
 
 
 def relax(m: Moment) -> np.ndarray:
-    """Returns velocities (F, 3), m/s, that undo the squeeze."""
+    """Returns velocities (F, 3), m/s, that undo the squeeze as fast as it was made.
+
+    A finger that let go much before the others would leave the object to be pushed by them.
+    """
     pressed = m.recall("pressed")
-    velocity = -limited(pressed / m.config.period, m.config.opening_speed)
+    velocity = -limited(pressed / m.config.period, m.config.squeeze_speed)
     m.note(pressed=pressed + m.config.period * velocity)
     return velocity
 
 
 def outwards(m: Moment, error: np.ndarray) -> np.ndarray:
     """Ignores errors inwards while the squeeze is undone: the fingertips hardly move then."""
-    if m.since > m.config.squeeze / m.config.opening_speed + m.config.visual_delay:
+    if m.since > m.config.squeeze / m.config.squeeze_speed + m.config.visual_delay:
         return error
     inwards = _inwards(m, m.goal.touches)
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
@@ -414,10 +434,11 @@ def is_open(m: Moment) -> str | None:
 
 
 def has_retreated(m: Moment) -> str | None:
-    """the object is seen off its place, or not upright there"""
-    off = np.linalg.norm(_to_place(m).translation()) > 2 * m.config.reach_tolerance
-    tilted = _tilt_to_place(m).ToAngleAxis().angle() > _MAX_TILT
-    if not ((off or tilted) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
+    """the object is seen off its place, or turned there"""
+    motion = _to_place(m)
+    off = np.linalg.norm(motion.translation()) > 2 * m.config.reach_tolerance
+    turned = motion.rotation().ToAngleAxis().angle() > 2 * m.turn_tolerance
+    if not ((off or turned) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
     m.memory.attempt += 1
     return "reach"
@@ -438,7 +459,7 @@ PLACE = (
     Phase("lift", hold, lambda m: "carry" if (end := is_lifted(m)) == "hold" else end, rise, press=regrip),
     Phase("carry", hold, is_carried, carry, press=regrip),
     Phase("lower", hold, is_down, lower, press=regrip, wrist_speed="lowering_speed"),
-    Phase("open", shape, is_open, rest, speed="opening_speed", error=outwards, press=relax),
+    Phase("open", let_go, is_open, rest, speed=letting_go_speed, error=outwards, press=relax, from_seen=True),
     Phase("retreat", shape, has_retreated, go_before),
     _RELEASE,
 )
