@@ -235,10 +235,13 @@ def test_the_orca_driver_moves_the_vendors_simulated_motors(tmp_path, monkeypatc
 
 
 class Ros:
-    """Has what the node uses of rclpy and sensor_msgs; a controller that follows at once."""
+    """Has what the node uses of rclpy and sensor_msgs; a controller that follows at once.
+
+    After the first state, which has all joints in order, each has a part of them, in reverse order.
+    """
 
     def __init__(self, names, topics):
-        ros, self.q, self.published = self, [0.0] * len(names), []
+        ros, self.q, self.published, self.states = self, [0.0] * len(names), [], 0
 
         class JointState:
             def __init__(self):
@@ -263,7 +266,11 @@ class Ros:
 
         def spin_once(node, timeout_sec):
             state = JointState()
-            state.name, state.position = list(names), list(ros.q)
+            joints = list(zip(names, ros.q, strict=True))
+            if ros.states:
+                joints = joints[ros.states % 2 :: 2][::-1]
+            ros.states += 1
+            state.name, state.position = [name for name, _ in joints], [q for _, q in joints]
             ros.callback(state)
 
         rclpy, messages = types.ModuleType("rclpy"), types.ModuleType("sensor_msgs.msg")

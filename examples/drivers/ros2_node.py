@@ -26,16 +26,19 @@ def run(targets: str, states: str, endpoint: str, speed: float, names: list[str]
         targets, states: topics.
         endpoint: ZeroMQ endpoint of `geort-drake live`.
         speed: speed limit, rad/s.
-        names: the model's names of the joints in the order of `states`; None for the names there.
+        names: the model's names of the joints in the order of the first state, which contains all of them;
+            None for the names there.
     """
     rclpy.init()
     node = rclpy.create_node("geort_drake")
-    newest: list[JointState] = []
-    node.create_subscription(JointState, states, lambda state: newest.__setitem__(slice(None), [state]), 1)
+    positions: dict[str, float] = {}  # joint → rad; a message may have any order, and a part of the joints
+    node.create_subscription(
+        JointState, states, lambda state: positions.update(zip(state.name, state.position, strict=True)), 1
+    )
     publisher = node.create_publisher(JointState, targets, 1)
-    while rclpy.ok() and not newest:
+    while rclpy.ok() and not positions:
         rclpy.spin_once(node, timeout_sec=0.1)
-    q, topic_names = np.array(newest[0].position), list(newest[0].name)
+    topic_names, q = list(positions), np.array(list(positions.values()))
     unlimited = np.full(len(q), np.inf)
     with JointDriver(endpoint, names or topic_names, q, -unlimited, unlimited, speed) as driver:
         while driver.running and rclpy.ok():
@@ -43,7 +46,8 @@ def run(targets: str, states: str, endpoint: str, speed: float, names: list[str]
             message = JointState()
             message.header.stamp = node.get_clock().now().to_msg()
             message.name = topic_names
-            message.position = driver.step(np.array(newest[0].position)).tolist()
+            q = np.array([positions[name] for name in topic_names])
+            message.position = driver.step(q).tolist()
             publisher.publish(message)
     node.destroy_node()
     rclpy.try_shutdown()
