@@ -131,6 +131,17 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     assert list(base.RESULT_FILES) == files
 
 
+@pytest.mark.parametrize("option", ["--json=~/results.json", "--json ~/results.json"])
+def test_a_path_after_an_equals_sign_begins_at_home_too(option, tmp_path, monkeypatch):
+    """Shells insert the home folder only where ~ begins a word."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    words = [os.path.expanduser(word) for word in option.split(" ")]  # as a shell does
+    assert main(["hand", "list", *words]) == 0
+    assert (tmp_path / "results.json").is_file()
+    assert not (tmp_path / "~").exists()
+
+
 def test_a_quiet_run_prints_warnings_alone(monkeypatch, capsys):
     """Neither progress nor words; with --json one object on stdout. The next run prints everything again."""
     monkeypatch.setattr(console, "quiet", False)  # restores it after the test
