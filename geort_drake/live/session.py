@@ -49,7 +49,7 @@ class SteadyState:
     """Passes on a state once it has lasted `STEADY_S`, so that people can read it."""
 
     def __init__(self) -> None:
-        self._shown = self._candidate = ""
+        self._state = self._candidate = ""
         self._since = -math.inf
 
     def step(self, time: float, state: str) -> str:
@@ -58,9 +58,9 @@ class SteadyState:
         state = TRACKING if state == LIMITED else state
         if state != self._candidate:
             self._candidate, self._since = state, time
-        if not self._shown or time - self._since >= STEADY_S:
-            self._shown = state
-        return self._shown
+        if not self._state or time - self._since >= STEADY_S:
+            self._state = state
+        return self._state
 
 
 class Control(Protocol):

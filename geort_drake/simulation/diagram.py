@@ -111,11 +111,11 @@ def make_trial_diagram(
                 scenario.operator,
                 RigidTransform(X_WB_seen.rotation(), np.zeros(3)),
                 seed=int(rng.integers(2**31)),
-                inputs={name: perceived.port.size() for name, perceived in stage.shown.items()},
+                inputs={name: perceived.port.size() for name, perceived in stage.percepts.items()},
                 person=lambda noise: task.person(scenario, person, goal, noise),
             ),
         )
-        for name, (port, mirror) in stage.shown.items():
+        for name, (port, mirror) in stage.percepts.items():
             seen[name] = late = _delayed(builder, port, scenario)
             if in_mirror and mirror is not None:
                 late = _mirrored(builder, name, late, mirror)

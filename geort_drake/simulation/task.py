@@ -229,14 +229,14 @@ class Stage:
     Attributes:
         scene: the plant and its robot.
         judge: judges the task.
-        shown: name of the person's input port → the port that it perceives.
+        percepts: name of the person's input port → the port that it perceives.
         states, signals: states and signals to record.
         bodies: free bodies whose path is recorded, and that are transparent in close-ups.
     """
 
     scene: Scene
     judge: Judge
-    shown: Mapping[str, PerceivedPort]
+    percepts: Mapping[str, PerceivedPort]
     states: States
     bodies: Sequence[RigidBody] = ()
     signals: Signals = dc.field(default_factory=dict)
@@ -310,7 +310,7 @@ class Task:
         return [plan.goal for plan in self.plan(scenario, description)]
 
     def person(self, scenario: Scenario, hand: HumanHand, goal: Goal, rng: np.random.Generator) -> Person:
-        """Returns a person who perceives the ports of `Stage.shown`.
+        """Returns a person who perceives the ports of `Stage.percepts`.
 
         Args:
             goal: mirrored for a left robot hand.
@@ -390,13 +390,13 @@ class Task:
             **dict.fromkeys(("hand_pose", "object_pose", "place_pose"), POSE_MIRROR),
             **self.mirror,
         }
-        shown = {}
+        percepts = {}
         for name in ("fingertips", "hand_pose", "object_pose", "contact", *self.percepts):
             system = view if view.HasOutputPort(name) else judge
-            shown[name] = PerceivedPort(system.GetOutputPort(name), mirror.get(name))
+            percepts[name] = PerceivedPort(system.GetOutputPort(name), mirror.get(name))
         states = {self.name: (judge.GetOutputPort("phase"), handled.states)}
         free = () if handled.placement is None else (body,)
-        return Stage(scene, judge, shown, states, free, signals)
+        return Stage(scene, judge, percepts, states, free, signals)
 
 
 @dc.dataclass(frozen=True)

@@ -21,8 +21,8 @@ def run_script(
     """Returns the score of a script in one trial, 0 without success.
 
     Args:
-        script_for: makes the script. Its input ports are ports of `Stage.shown`, without delay or noise. Its
-            output `desired_state` drives the hand, and `arm_desired_state`, if it exists, the arm.
+        script_for: makes the script. Its input ports are ports of `Stage.percepts`, without delay or noise.
+            Its output `desired_state` drives the hand, and `arm_desired_state`, if it exists, the arm.
     """
     description = load_hand(scenario.hand)
     robot, _ = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
@@ -37,7 +37,7 @@ def run_script(
     script = builder.AddSystem(script_for(stage.scene, description))
     for index in range(script.num_input_ports()):
         port = script.get_input_port(index)
-        builder.Connect(stage.shown[port.get_name()].port, port)
+        builder.Connect(stage.percepts[port.get_name()].port, port)
     builder.Connect(script.GetOutputPort("desired_state"), plant.get_desired_state_input_port(hand))
     if script.HasOutputPort("arm_desired_state"):
         arm_target = script.GetOutputPort("arm_desired_state")

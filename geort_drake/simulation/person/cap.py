@@ -54,7 +54,7 @@ def _stroke_time(m: Moment) -> float:
 
 def _turned(m: Moment) -> float:
     """Returns the seen turn of the cap, rad, positive in the direction of a stroke."""
-    return float(np.sign(m.goal.stroke) * m.seen.shown["positions"][0])
+    return float(np.sign(m.goal.stroke) * m.seen.percepts["positions"][0])
 
 
 def has_settled(m: Moment) -> str | None:

@@ -25,7 +25,7 @@ class Seen:
     X_WO: RigidTransform  # object
     contact: np.ndarray  # (F,) force between each robot finger and the object, N
     X_WP: RigidTransform | None = None  # where the object belongs
-    shown: Mapping[str, np.ndarray] = dc.field(default_factory=dict)  # what the task shows, by name
+    percepts: Mapping[str, np.ndarray] = dc.field(default_factory=dict)  # of the task, by name
 
     @classmethod
     def of_ports(cls, values: Mapping[str, np.ndarray]) -> "Seen":
@@ -37,7 +37,7 @@ class Seen:
             X_WO=poses["object_pose"],
             contact=values["contact"],
             X_WP=poses.get("place_pose"),
-            shown=values,
+            percepts=values,
         )
 
     @functools.cached_property
@@ -101,7 +101,7 @@ def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.ra
         # A felt force is never negative.
         scene.contact * np.maximum(factor, 0) * config.touch,
         scene.X_WP and moved(scene.X_WP, turn_P, error.p[-1]),
-        scene.shown,
+        scene.percepts,
     )
 
 

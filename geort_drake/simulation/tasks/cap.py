@@ -178,12 +178,11 @@ class CapPlanner(FingerPlanner):
     def _path(self, goal: CapGoal, first: tuple[np.ndarray, np.ndarray], sign: int) -> list[tuple]:
         """Returns postures step by step in one direction, as far as the hand reaches."""
         path: list[tuple] = []
-        while (
-            len(path) < 18
-            and (found := self._postures(goal, sign * _STEP * (len(path) + 1), path[-1] if path else first))
-            is not None
-        ):
-            path.append(found)
+        for step in range(1, 19):
+            postures = self._postures(goal, sign * _STEP * step, path[-1] if path else first)
+            if postures is None:
+                break
+            path.append(postures)
         return path
 
     def _postures(self, goal: CapGoal, turn: float, guess: tuple[np.ndarray, np.ndarray]) -> tuple | None:
