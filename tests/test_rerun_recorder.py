@@ -288,6 +288,21 @@ def test_a_close_up_moves_with_its_frame(tmp_path, laid_out):
     assert set(laid_out["scene"][1].visualizer_overrides) == {"/world/path"}
 
 
+@pytest.mark.parametrize("height", [-0.2, 0.2])
+def test_a_close_up_does_not_look_up_through_the_table(height, tmp_path, laid_out):
+    """An eye that would be below its target at the end is above it instead, seen from the same side."""
+    world = World(height=2.0).finalize()
+    spec = CloseUpSpec(world.plant.GetFrameByName("upper"), eye=(0.3, 0.1, height))
+    world.record(tmp_path / "close.rrd", close_ups={"arm": spec})
+    with world.recorder:
+        world.simulator.AdvanceTo(0.3)
+        R_WU = world.plant.EvalBodyPoseInWorld(world.context, world.upper).rotation().matrix()
+    position = laid_out["arm"][1].properties["EyeControls3D"].position
+    p_WE, before = R_WU @ position.as_arrow_array().to_pylist()[0], R_WU @ spec.eye
+    assert (before[2] > 0) == (height > 0)
+    np.testing.assert_allclose(p_WE, [*before[:2], abs(before[2])], atol=0.02)
+
+
 def test_a_plant_inside_another_diagram_is_recorded_by_exported_ports(tmp_path):
     """Without them, Drake says that the ports are in another diagram."""
     world, outer, names = World(height=2.0).finalize(), DiagramBuilder(), ("body_poses", "contact_results")

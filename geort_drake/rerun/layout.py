@@ -191,6 +191,9 @@ def _close_up(
             R_WF = scene.anchored[body].rotation().matrix()
         elif poses:
             R_WF = poses[-1][scene.moving.index(body), :, :3]
+        from_target_W = R_WF @ (eye - target)
+        if from_target_W[2] < 0:  # a table would hide what is seen from below
+            eye = target + R_WF.T @ (from_target_W * [1, 1, -1])
     overrides: dict[str, Any] = dict(trails)
     for body in spec.see_through:
         overrides |= scene.translucent_shapes(int(body.index()))
