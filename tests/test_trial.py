@@ -20,14 +20,15 @@ from grasp_setup import (
 from pydrake.math import RigidTransform
 from system_bench import SystemBench
 
-from geort_drake import Recording, run_trial, synthesize_play
+from geort_drake import Recording, load_retargeter, run_trial, synthesize_play
 from geort_drake.retargeting import METHODS
+from geort_drake.retargeting.store import shipped_maps
 from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks.grasp import GraspPhase
-from geort_drake.simulation.trial import TrialBuilder
+from geort_drake.simulation.trial import _POPULATION, TrialBuilder
 from geort_drake.simulation.worn_glove import WornGlove, WornGloveConfig
 
 KINDS = ("command", "measured")
@@ -249,3 +250,12 @@ def test_another_person_has_another_hand():
     own, first, other, again = (builder.person(number) for number in (0, 1, 2, 1))
     np.testing.assert_array_equal(first.lengths, again.lengths)
     assert len({hand.lengths.sum() for hand in (own, first, other)}) == 3
+
+
+@pytest.mark.parametrize("name", shipped_maps())
+def test_the_people_of_trials_are_in_no_shipped_maps_training(name):
+    """A map that had seen them would have an advantage over other methods."""
+    info = load_retargeter(name).info
+    stages = [info.get(stage, {}) for stage in ("first_config", "second_config", "config")]
+    seeds = {stage["seed"] for stage in stages if "seed" in stage}
+    assert seeds and _POPULATION not in seeds

@@ -23,6 +23,8 @@ from geort_drake.simulation.task import Outcome, TrialResult
 from geort_drake.simulation.tasks import find_task
 
 _REPORT_PERIOD = 0.25  # simulated s
+# Seed of the people by `Scenario.person`. Universal maps are trained on the population of seed 0.
+_POPULATION = 1000
 # Fields of a scenario on which plans depend.
 _PLAN_FIELDS = (
     "task",
@@ -95,7 +97,7 @@ class TrialBuilder:
     def person(self, number: int) -> HumanHand:
         """Returns the hand of a person of the population by `Scenario.person`."""
         if number not in self._people:
-            self._people[number] = sample_person(0, number).hand.in_wrist_frame()
+            self._people[number] = sample_person(_POPULATION, number).hand.in_wrist_frame()
         return self._people[number]
 
     def trial(self, scenario: Scenario, retarget: Retarget) -> Trial:
