@@ -131,13 +131,11 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     assert list(base.RESULT_FILES) == files
 
 
-@pytest.mark.parametrize("option", ["--json=~/results.json", "--json ~/results.json"])
-def test_a_path_after_an_equals_sign_begins_at_home_too(option, tmp_path, monkeypatch):
+def test_a_path_after_an_equals_sign_begins_at_home_too(tmp_path, monkeypatch):
     """Shells insert the home folder only where ~ begins a word."""
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    words = [os.path.expanduser(word) for word in option.split(" ")]  # as a shell does
-    assert main(["hand", "list", *words]) == 0
+    assert main(["hand", "list", "--json=~/results.json"]) == 0
     assert (tmp_path / "results.json").is_file()
     assert not (tmp_path / "~").exists()
 

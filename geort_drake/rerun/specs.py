@@ -330,8 +330,8 @@ class CloseUpSpec:
     Attributes:
         follows: frame F of the plant; or the key of a human hand, which is then shown alone, with its wrist
             frame H as F.
-        eye, target: eye point and target point in F, m. An eye that would be below the target at the end is
-            mirrored at the target's height, because a table would hide what is to be seen.
+        eye, target: eye point and target point in F, m. If F belongs to the plant, an eye that would be below
+            the target at the end is mirrored at the target's height: a table would hide what is to be seen.
         see_through: bodies that are translucent in this view.
     """
 

@@ -103,7 +103,7 @@ class Scenario:
     arm_posture: dict[str, float] = dc.field(default_factory=dict)
     left_arm_posture: dict[str, float] = dc.field(default_factory=dict)
     object: ObjectConfig = dc.field(default_factory=ObjectConfig)
-    # Number of the simulated person in the population of seed 1000, whom no shipped map has seen in training,
+    # Number of the simulated person in the population of seed 2000, whom no shipped map has seen in training,
     # see `sample_person`; 0 is the hand of the recording, or an average adult's without a recording.
     person: int = 0
     glove: WornGloveConfig = dc.field(default_factory=WornGloveConfig)

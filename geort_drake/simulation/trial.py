@@ -23,8 +23,9 @@ from geort_drake.simulation.task import Outcome, TrialResult
 from geort_drake.simulation.tasks import find_task
 
 _REPORT_PERIOD = 0.25  # simulated s
-# Seed of the people by `Scenario.person`. Universal maps are trained on the population of seed 0.
-_POPULATION = 1000
+# Seed of the people by `Scenario.person`. Universal maps are trained on the population of seed 0, and
+# compared on that of seed 1000.
+_POPULATION = 2000
 # Fields of a scenario on which plans depend.
 _PLAN_FIELDS = (
     "task",

@@ -190,7 +190,7 @@ element("pointer").onclick = () =>
 for (const button of document.querySelectorAll("[data-grip]")) {
   const toggleGrip = () => pointer.toggle(button.dataset.grip);
   button.onclick = toggleGrip;
-  // Browsers send no click after a long press, nor while a page glides.
+  // Browsers may send no click after a long press, nor while a page glides.
   button.addEventListener("touchend", (event) => {
     event.preventDefault(); // the click would toggle once more
     toggleGrip();

@@ -48,10 +48,8 @@ def shape(m: Moment) -> np.ndarray:
 def let_go(m: Moment) -> np.ndarray:
     """straight off the object, then open around it"""
     target, feels = m.goal.p_BF_open.copy(), m.goal.touches & m.feels
-    inwards = _inwards(m, m.goal.touches)
-    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
     # A finger that moved along the surface would turn the object over.
-    target[feels] = (m.seen.p_BF - _LEAVING_DISTANCE * inwards)[feels]
+    target[feels] = (m.seen.p_BF - _LEAVING_DISTANCE * _directions_inwards(m))[feels]
     return target
 
 
@@ -147,6 +145,12 @@ def _inwards(m: Moment, touches: np.ndarray) -> np.ndarray:
     return way
 
 
+def _directions_inwards(m: Moment) -> np.ndarray:
+    """Returns unit vectors (F, 3) in B along which the grasping fingers press; zero for other fingers."""
+    inwards = _inwards(m, m.goal.touches)
+    return inwards / np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+
+
 def _pressing(m: Moment, share: float) -> np.ndarray:
     """Returns velocities (F, 3), m/s, with which fingertips close further, and press where the grip is weak.
 
@@ -200,8 +204,7 @@ def outwards(m: Moment, error: np.ndarray) -> np.ndarray:
     """Ignores errors inwards while the squeeze is undone: the fingertips hardly move then."""
     if m.since > m.config.squeeze / m.config.squeeze_speed + m.config.visual_delay:
         return error
-    inwards = _inwards(m, m.goal.touches)
-    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-9)
+    inwards = _directions_inwards(m)
     return error - np.maximum(np.sum(error * inwards, axis=1, keepdims=True), 0.0) * inwards
 
 

@@ -1,5 +1,7 @@
 """Inverse kinematics of a grasp, for arm and hand in a plant with a fixed object."""
 
+import functools
+
 import numpy as np
 from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, SceneGraph
 from pydrake.math import RigidTransform, RotationMatrix
@@ -82,7 +84,6 @@ class GraspKinematics:
         self.q_default = plant.GetPositions(self._plant_context).copy()
         self.q_middle = self._centred_positions()
         self._ignore_links_close_at_rest()
-        self._carrying_context = self._context_without_object()
 
     def touch(
         self, contacts: list[Contact], palm: Contact | None, guess: np.ndarray, collisions: bool = True
@@ -146,7 +147,8 @@ class GraspKinematics:
 
         The hand has taken the object along, so its place here does not matter.
         """
-        ik = InverseKinematics(self._plant, self._carrying_context)
+        context = self._plant.GetMyMutableContextFromRoot(self._root_without_object)
+        ik = InverseKinematics(self._plant, context)
         world, R = self._plant.world_frame(), X_WB.rotation()
         near = np.full(3, _TOLERANCE)
         p_WB = X_WB.translation()
@@ -294,8 +296,9 @@ class GraspKinematics:
                 a, b = GeometrySet([pair.id_A]), GeometrySet([pair.id_B])
                 filters.Apply(CollisionFilterDeclaration().ExcludeBetween(a, b))
 
-    def _context_without_object(self) -> Context:
-        """Returns a context of the plant in which nothing collides with the object."""
+    @functools.cached_property
+    def _root_without_object(self) -> Context:
+        """The diagram's context in which nothing collides with the object."""
         root = self._context.Clone()
         scene_graph = self._diagram.GetSubsystemByName("scene_graph")
         filters = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(root))
@@ -303,8 +306,7 @@ class GraspKinematics:
         everything = GeometrySet(inspector.GetAllGeometryIds(Role.kProximity))
         object_shapes = GeometrySet(self._plant.GetCollisionGeometriesForBody(self._object))
         filters.Apply(CollisionFilterDeclaration().ExcludeBetween(object_shapes, everything))
-        self._carrying_root = root  # owns the plant's
-        return self._plant.GetMyMutableContextFromRoot(root)
+        return root
 
     def _position_index(self, joint: str) -> int:
         return position_index(self._plant, joint, self._hand)

@@ -35,7 +35,7 @@ def _is_placed(block: CarriedState) -> bool:
     return block.height < 0.003 and block.offset < 0.010 and max(abs(block.turn), block.tilt) < _MAX_ANGLE
 
 
-def _middle(scenario: Scenario, side: str) -> RigidTransform:
+def _middle_place(scenario: Scenario, side: str) -> RigidTransform:
     """Returns X_WP in the middle of its range."""
     x, y = scenario.object.position
     z = scenario.object.support_height + HEIGHTS[scenario.object.name] / 2
@@ -46,7 +46,7 @@ def _place(scenario: Scenario, side: str, rng: np.random.Generator) -> RigidTran
     dx, dy = rng.uniform(-_POSITION_RANGE, _POSITION_RANGE, 2)
     yaw = rng.uniform(-_YAW_RANGE, _YAW_RANGE)
     X_PmP = RigidTransform(RotationMatrix.MakeZRotation(yaw), [dx, dy, 0.0])
-    return _middle(scenario, side) @ X_PmP
+    return _middle_place(scenario, side) @ X_PmP
 
 
 def _draw_place(plant: MultibodyPlant, X_WP: RigidTransform) -> None:
@@ -59,7 +59,7 @@ def _plan(scenario: Scenario, description: HandDescription) -> list[Plan]:
     # Above the middle, so that the block hangs, and with at least 4 mm between tips and table.
     radius = max(finger.tip_radius for finger in description.fingers)
     tip_height = max(0.75 * HEIGHTS[scenario.object.name], radius + 0.004)
-    X_WP = _middle(scenario, description.side)
+    X_WP = _middle_place(scenario, description.side)
     return [Plan(goal) for goal in GraspPlanner(scenario, description, "pinch", tip_height, X_WP).plans()]
 
 
