@@ -331,14 +331,32 @@ def test_the_commands_that_make_the_pictures_exist(tmp_path, monkeypatch):
         assert {word for word in words if word.startswith("--")} <= known
 
 
-def test_every_make_target_and_link_of_the_readme_exists():
-    """`make ...` commands also of the docs, whose links the strict build of the site checks."""
+def test_every_make_target_exists():
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE))
     used = {line.split()[1] for line in shown(r"make \w")}
     assert used and used <= targets
-    text = (ROOT / "README.md").read_text("utf-8")
-    linked = [target for target in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"https?:|#", target)]
-    assert [target for target in linked if not (ROOT / target).exists()] == []
+
+
+def test_every_link_between_pages_leads_to_a_file_and_a_heading():
+    """Also those of pages that are not on the site, whose links the strict build of the site checks."""
+    toc = pytest.importorskip("markdown.extensions.toc", reason="the docs extra is not installed")
+
+    def headings(page: Path) -> set[str]:
+        titles = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text("utf-8")), re.MULTILINE)
+        plain = (re.sub(r"\[([^]]*)\]\([^)]*\)|[`*]", r"\1", title) for title in titles)
+        return {toc.slugify(title, "-") for title in plain}
+
+    dead = []
+    for page in [*ROOT.glob("*.md"), *PAGES[1:]]:
+        for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", page.read_text("utf-8"))):
+            name, _, anchor = target.partition("#")
+            file = (page.parent / name).resolve() if name else page
+            of_the_site = "api" in file.parts and anchor  # made from docstrings
+            if re.match(r"https?:|mailto:", target) or of_the_site:
+                continue
+            if not file.exists() or (anchor and anchor not in headings(file)):
+                dead.append(f"{page.name}: {target}")
+    assert dead == []
 
 
 def test_pages_are_whole_without_the_site():
@@ -362,7 +380,7 @@ def test_the_site_builds_and_asks_no_other_host(tmp_path):
     pytest.importorskip("mkdocs", reason="the docs extra is not installed")
     pytest.importorskip("mkdocstrings", reason="the docs extra is not installed")
     built = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path)],
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert built.returncode == 0, built.stdout + built.stderr
