@@ -14,15 +14,8 @@ time.
 """
 
 from geort_drake.rerun.recorder import RerunRecorder, add_rerun_recorder
-from geort_drake.rerun.specs import (
-    CloseUpSpec,
-    ContactSpec,
-    HandSpec,
-    PointsSpec,
-    SignalSpec,
-    Spec,
-    StateSpec,
-)
+from geort_drake.rerun.scene import ContactSpec
+from geort_drake.rerun.specs import CloseUpSpec, HandSpec, PointsSpec, SignalSpec, Spec, StateSpec
 from geort_drake.rerun.writer import Writer, file_writer
 
 __all__ = [

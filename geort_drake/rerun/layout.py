@@ -15,7 +15,6 @@ from geort_drake.rerun.specs import (
     CloseUpSpec,
     HandSpec,
     PointsSpec,
-    Poses,
     SignalSpec,
     Spec,
     StateSpec,
@@ -123,7 +122,6 @@ def _visible_past(seconds: float) -> rrb.VisibleTimeRanges:
 
 
 def default_layout(
-    scene: Scene,
     close_ups: Mapping[str, CloseUpSpec],
     view_from: np.ndarray,
     has_text: bool,
@@ -133,11 +131,10 @@ def default_layout(
     """Makes the default layout: views in a row, states below them, plots at the bottom.
 
     Args:
-        scene: bodies of the plant.
         close_ups: name → spec of each additional view.
         view_from: direction in W from the scene to the eye.
         has_text: whether a panel shows the recorder's text.
-        specs: what is recorded.
+        specs: what is recorded, with one `Scene`.
         rows: key of each spec → the rows that have been sampled.
     """
 
@@ -145,7 +142,8 @@ def default_layout(
         return {key: spec for key, spec in specs.items() if isinstance(spec, kind)}
 
     hands = {key: rows[key] for key in of(HandSpec)}
-    (poses,) = (rows[key] for key in of(Poses))
+    ((key, scene),) = of(Scene).items()
+    poses = rows[key]
     points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
     trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
     target, distance = _target_and_distance(poses, hands, scene.reach)

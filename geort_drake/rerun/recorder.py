@@ -24,8 +24,8 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Outp
 from geort_drake.errors import OutputError, ScenarioError
 from geort_drake.files import require_writable
 from geort_drake.rerun.layout import VIEW_FROM, default_layout, followed_bodies
-from geort_drake.rerun.scene import Scene, describe_scene
-from geort_drake.rerun.specs import CloseUpSpec, ContactSpec, Poses, Spec
+from geort_drake.rerun.scene import ContactSpec, describe_scene
+from geort_drake.rerun.specs import CloseUpSpec, Spec
 from geort_drake.rerun.writer import ABOUT, Property, Viewer, Writer, file_writer, live_writer
 from geort_drake.systems.python_system import PythonSystem
 
@@ -84,7 +84,7 @@ def add_rerun_recorder(
         raise ScenarioError("a recorder needs a file, viewers or both; given: neither")
     scene = describe_scene(plant, scene_graph, role, followed_bodies(close_ups or {}, specs or {}))
     recorded: dict[str, Spec] = {
-        "body_poses": Poses(scene),
+        "body_poses": scene,
         "contact_results": dataclasses.replace(contact or ContactSpec(), scene=scene),
         **(specs or {}),
     }
@@ -105,10 +105,7 @@ def add_rerun_recorder(
         inputs,
         sources,
         period,
-        scene,
-        functools.partial(
-            default_layout, scene, dict(close_ups or {}), np.asarray(view_from, float), bool(text)
-        ),
+        functools.partial(default_layout, dict(close_ups or {}), np.asarray(view_from, float), bool(text)),
         viewers,
         properties or {},
         text,
@@ -150,7 +147,6 @@ class RerunRecorder(PythonSystem):
         inputs: Mapping[str, Sequence[str]],
         sources: Mapping[str, OutputPort],
         period: float,
-        scene: Scene,
         layout: Callable[[Mapping[str, Spec], Mapping[str, Sequence]], rrb.Blueprint],
         viewers: Sequence[Viewer],
         properties: Mapping[str, Property],
@@ -160,7 +156,7 @@ class RerunRecorder(PythonSystem):
         self.path = path
         self._name, self._text = path.stem if path else "live", text
         self._specs, self._inputs = dict(specs), dict(inputs)
-        self._scene, self._layout, self._viewers = scene, layout, list(viewers)
+        self._layout, self._viewers = layout, list(viewers)
         self._properties = dict(properties)
         self._samples: list[tuple[float, list]] = []  # increasing times, s, with the rows of all specs
         self._live: Writer | None = None
@@ -238,7 +234,7 @@ class RerunRecorder(PythonSystem):
         if self._live is not None:
             self._live.close()
         self._samples.clear()
-        del self._specs, self._scene, self._layout  # bodies and frames in them would keep the diagram alive
+        del self._specs, self._layout  # bodies and frames in them would keep the diagram alive
 
     def __enter__(self) -> "RerunRecorder":
         return self
@@ -281,7 +277,6 @@ class RerunRecorder(PythonSystem):
         self._sent, self._sent_at = len(self._samples), time.monotonic()
 
     def _write(self, writer: Writer, first: int) -> None:
-        self._scene.write(writer)
         if self._text:
             writer.text(ABOUT, self._text)
         writer.at(np.array([now for now, _ in self._samples[first:]]))

@@ -1,8 +1,8 @@
-"""Describes the bodies of a plant as Rerun entities: their paths, shapes and fixed poses."""
+"""The bodies of a plant as Rerun entities: their shapes, poses and contact forces."""
 
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,17 +22,23 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
+from pydrake.systems.framework import OutputPort
+from scipy.spatial.transform import Rotation
 
+from geort_drake.colours import FINGER_COLOURS, Color, rgb
 from geort_drake.hands.hand import Hand
 from geort_drake.rerun.meshes import draw_mesh
-from geort_drake.rerun.writer import SOLID, WORLD, Writer, entity_path, transform, xyzw
-from geort_drake.systems.contacts import bodies_of_geometries
+from geort_drake.rerun.specs import Spec, column_name
+from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path, transform, xyzw
+from geort_drake.systems.contacts import bodies_of_geometries, contact_rows
 
 _DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)
 _TRANSLUCENT = 90  # opacity, of 255
 _HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
+_CONTACT_COLOR: Color = (255, 200, 40)
+_ARROWS, _SERIES = f"/{WORLD}/contact/forces", "/contact/force"
 
 # Drake's shape → name of the entity, archetype, and function of its dimensions.
 _SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
@@ -46,8 +52,8 @@ _SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
 
 
 @dataclass
-class Scene:
-    """The bodies of a plant and their geometry.
+class Scene(Spec):
+    """Records the bodies of a plant: their shapes, and poses X_WB of the moving ones in rows (bodies, 3, 4).
 
     Attributes:
         paths: entity path of each body of the plant, by its index.
@@ -65,18 +71,109 @@ class Scene:
     body_of_geometry: dict[GeometryId, int] = field(default_factory=dict)
     reach: float = 0.0
 
-    def write(self, writer: Writer) -> None:
-        """Sends the shapes and the fixed poses."""
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        return {key: plant_port(key)}
+
+    def read(self, body_poses: Sequence[RigidTransform]) -> np.ndarray:
+        return np.array([body_poses[i].GetAsMatrix34() for i in self.moving]).reshape(-1, 3, 4)
+
+    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
         for index, X_WB in self.anchored.items():
             writer.static(self.paths[index], transform(X_WB))
         for path, archetype in self.shapes:
             writer.static(path, archetype)
+        X_WB = np.reshape(rows, (len(rows), len(self.moving), 3, 4))
+        writer.poses([self.paths[i] for i in self.moving], X_WB)
+
+    def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        X_WB = np.reshape(rows, (len(rows), len(self.moving), 3, 4))
+        columns = {}
+        for number, i in enumerate(self.moving):
+            wxyz = Rotation.from_matrix(X_WB[:, number, :, :3]).as_quat(scalar_first=True)
+            name = self.paths[i].removeprefix(f"/{WORLD}")
+            columns[f"pose.{column_name(name)}"] = np.hstack([wxyz, X_WB[:, number, :, 3]])
+        return columns
 
     def translucent_shapes(self, body: int) -> dict[str, rr.AsComponents]:
         """Returns entity path → override that makes it translucent, for each shape of a body."""
         inside = f"{self.paths[body]}/"
         shapes = {path: _translucent(shape) for path, shape in self.shapes if path.startswith(inside)}
         return {path: style for path, style in shapes.items() if style is not None}
+
+
+@dataclass(frozen=True)
+class ContactSpec(Spec):
+    """Records contact forces, in rows from `contact_rows`.
+
+    Attributes:
+        groups: name → bodies whose contact forces are summed to one time series, such as the links of a
+            finger: {"thumb": [link_12, ...]}. By default each touched moving body has its own.
+        metres_per_newton: length of the arrows per force, m/N.
+        max_length: largest length of the arrows, m.
+        scene: the bodies; the recorder gives its own.
+    """
+
+    groups: Mapping[str, Sequence[RigidBody]] | None = None
+    metres_per_newton: float = 0.02
+    max_length: float = 0.25
+    scene: Scene = field(default_factory=lambda: Scene([]))
+
+    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
+        return {key: plant_port(key)}
+
+    def read(self, results: ContactResults) -> np.ndarray:
+        return contact_rows(results, self.scene.body_of_geometry)
+
+    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
+        writer.static(_ARROWS, rr.Arrows3D.from_fields(colors=[_CONTACT_COLOR], radii=[0.0025]))
+        contacts = np.concatenate([np.empty((0, 8)), *rows])
+        counts = np.array([len(row) for row in rows], dtype=int)
+        force = contacts[:, 5:]
+        arrows = self.metres_per_newton * force
+        length = np.linalg.norm(arrows, axis=1, keepdims=True)
+        arrows *= np.minimum(1.0, self.max_length / np.maximum(length, 1e-12))
+        # One of the two bodies usually hides one of the two arrows.
+        columns = rr.Arrows3D.columns(
+            origins=np.repeat(contacts[:, 2:5], 2, axis=0),
+            vectors=np.stack([arrows, -arrows], axis=1).reshape(-1, 3),
+        )
+        writer.columns(_ARROWS, columns.partition(2 * counts))
+        groups: dict[str, tuple[str, list[int]]] = writer.memory.setdefault(_SERIES, {})
+        for number, (path, (name, total)) in enumerate(self._totals(groups, rows).items()):
+            finger = FINGER_COLOURS.get(name)
+            color = PALETTE[number % len(PALETTE)] if finger is None else rgb(finger)
+            writer.series(path, [name], total[:, None], [color], 1.5)
+
+    def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        return {column_name(path): total for path, (_, total) in self._totals({}, rows).items()}
+
+    def _totals(
+        self, groups: dict[str, tuple[str, list[int]]], rows: Sequence[np.ndarray]
+    ) -> dict[str, tuple[str, np.ndarray]]:
+        """Returns entity path → name and sum of forces (T,), N, of each series.
+
+        Args:
+            groups: entity path → name and bodies of the series so far; a body has one from its first contact
+                on.
+        """
+        contacts = np.concatenate([np.empty((0, 8)), *rows])
+        bodies, magnitude = contacts[:, :2].astype(int), np.linalg.norm(contacts[:, 5:], axis=1)
+        sample = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
+        if self.groups is not None:
+            for name, members in self.groups.items():
+                groups[entity_path(_SERIES, name)] = name, [int(body.index()) for body in members]
+        else:
+            for i in sorted({*bodies.ravel()} & {*self.scene.moving}):
+                path = self.scene.paths[i].removeprefix(f"/{WORLD}")
+                groups.setdefault(_SERIES + path, (path[1:], [i]))
+        totals = {}
+        for path, (name, members) in groups.items():
+            member = np.zeros(len(self.scene.paths), dtype=bool)
+            member[members] = True
+            # Only forces that act on the group from outside count.
+            crossing = member[bodies[:, 0]] != member[bodies[:, 1]]
+            totals[path] = name, np.bincount(sample[crossing], magnitude[crossing], minlength=len(rows))
+        return totals
 
 
 def describe_scene(
@@ -132,16 +229,14 @@ def write_robot_hand(
     """
     writer.static(path, transform(X_WB or RigidTransform()))
     scene = describe_scene(hand.plant, hand.scene_graph, root=path)
-    scene.write(writer)
     root = hand.contact_context()
     context = hand.plant.GetMyContextFromRoot(root)
     port = hand.plant.get_body_poses_output_port()
-    rows = np.empty((len(q), len(scene.moving), 3, 4))
-    for row, positions in zip(rows, q, strict=True):
+    rows = []
+    for positions in q:
         hand.query(positions, root)
-        poses = port.Eval(context)
-        row[:] = np.reshape([poses[i].GetAsMatrix34() for i in scene.moving], row.shape)  # or none
-    writer.poses([scene.paths[i] for i in scene.moving], rows)
+        rows.append(scene.read(port.Eval(context)))
+    scene.write(writer, path, rows)
 
 
 def _body_path(plant: MultibodyPlant, body: RigidBody) -> str:

@@ -1,28 +1,20 @@
 """What a recorder records: each kind reads ports, and writes Rerun columns."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-import rerun as rr
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import ContactResults
 from pydrake.multibody.tree import Frame, RigidBody
 from pydrake.systems.framework import OutputPort
-from scipy.spatial.transform import Rotation
 
-from geort_drake.colours import FINGER_COLOURS, SKIN, Color, rgb
-from geort_drake.rerun.scene import Scene
+from geort_drake.colours import SKIN, Color
 from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path, state_names
-from geort_drake.systems.contacts import contact_rows
 
 # Maps the values (T, m) of ports at T times to the recorded values (T, n).
 Derive = Callable[[np.ndarray], np.ndarray]
-
-_CONTACT_COLOR: Color = (255, 200, 40)
-_ARROWS, _SERIES = f"/{WORLD}/contact/forces", "/contact/force"
 
 
 class Spec:
@@ -111,7 +103,7 @@ class SignalSpec(Spec):
 
     def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
         values = _derived(self.derive, rows, len(self.names))
-        return {_column(key, name): values[:, i] for i, name in enumerate(self.names)}
+        return {column_name(key, name): values[:, i] for i, name in enumerate(self.names)}
 
 
 @dataclass(frozen=True)
@@ -136,7 +128,7 @@ class StateSpec(Spec):
         writer.states(entity_path(key), rows, self.labels)
 
     def samples(self, key: str, rows: Sequence[float]) -> dict[str, np.ndarray]:
-        return {f"state.{_column(key)}": np.array(state_names(rows, self.labels))}
+        return {f"state.{column_name(key)}": np.array(state_names(rows, self.labels))}
 
 
 @dataclass(frozen=True)
@@ -223,107 +215,6 @@ class PointsSpec(Spec):
 
 
 @dataclass(frozen=True)
-class Poses(Spec):
-    """Records the poses X_WB of all moving bodies, in rows (bodies, 3, 4)."""
-
-    scene: Scene
-
-    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
-        return {key: plant_port(key)}
-
-    def read(self, body_poses: Sequence[RigidTransform]) -> np.ndarray:
-        return np.array([body_poses[i].GetAsMatrix34() for i in self.scene.moving]).reshape(-1, 3, 4)
-
-    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
-        X_WB = np.reshape(rows, (len(rows), len(self.scene.moving), 3, 4))
-        writer.poses([self.scene.paths[i] for i in self.scene.moving], X_WB)
-
-    def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-        X_WB = np.reshape(rows, (len(rows), len(self.scene.moving), 3, 4))
-        columns = {}
-        for number, i in enumerate(self.scene.moving):
-            wxyz = Rotation.from_matrix(X_WB[:, number, :, :3]).as_quat(scalar_first=True)
-            name = self.scene.paths[i].removeprefix(f"/{WORLD}")
-            columns[f"pose.{_column(name)}"] = np.hstack([wxyz, X_WB[:, number, :, 3]])
-        return columns
-
-
-@dataclass(frozen=True)
-class ContactSpec(Spec):
-    """Records contact forces, in rows from `contact_rows`.
-
-    Attributes:
-        groups: name → bodies whose contact forces are summed to one time series, such as the links of a
-            finger: {"thumb": [link_12, ...]}. By default each touched moving body has its own.
-        metres_per_newton: length of the arrows per force, m/N.
-        max_length: largest length of the arrows, m.
-        scene: the bodies; the recorder gives its own.
-    """
-
-    groups: Mapping[str, Sequence[RigidBody]] | None = None
-    metres_per_newton: float = 0.02
-    max_length: float = 0.25
-    scene: Scene = field(default_factory=lambda: Scene([]))
-
-    def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
-        return {key: plant_port(key)}
-
-    def read(self, results: ContactResults) -> np.ndarray:
-        return contact_rows(results, self.scene.body_of_geometry)
-
-    def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
-        writer.static(_ARROWS, rr.Arrows3D.from_fields(colors=[_CONTACT_COLOR], radii=[0.0025]))
-        contacts = np.concatenate([np.empty((0, 8)), *rows])
-        counts = np.array([len(row) for row in rows], dtype=int)
-        force = contacts[:, 5:]
-        arrows = self.metres_per_newton * force
-        length = np.linalg.norm(arrows, axis=1, keepdims=True)
-        arrows *= np.minimum(1.0, self.max_length / np.maximum(length, 1e-12))
-        # One of the two bodies usually hides one of the two arrows.
-        columns = rr.Arrows3D.columns(
-            origins=np.repeat(contacts[:, 2:5], 2, axis=0),
-            vectors=np.stack([arrows, -arrows], axis=1).reshape(-1, 3),
-        )
-        writer.columns(_ARROWS, columns.partition(2 * counts))
-        groups: dict[str, tuple[str, list[int]]] = writer.memory.setdefault(_SERIES, {})
-        for number, (path, (name, total)) in enumerate(self._totals(groups, rows).items()):
-            finger = FINGER_COLOURS.get(name)
-            color = PALETTE[number % len(PALETTE)] if finger is None else rgb(finger)
-            writer.series(path, [name], total[:, None], [color], 1.5)
-
-    def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-        return {_column(path): total for path, (_, total) in self._totals({}, rows).items()}
-
-    def _totals(
-        self, groups: dict[str, tuple[str, list[int]]], rows: Sequence[np.ndarray]
-    ) -> dict[str, tuple[str, np.ndarray]]:
-        """Returns entity path → name and sum of forces (T,), N, of each series.
-
-        Args:
-            groups: entity path → name and bodies of the series so far; a body has one from its first contact
-                on.
-        """
-        contacts = np.concatenate([np.empty((0, 8)), *rows])
-        bodies, magnitude = contacts[:, :2].astype(int), np.linalg.norm(contacts[:, 5:], axis=1)
-        sample = np.repeat(np.arange(len(rows)), [len(row) for row in rows])
-        if self.groups is not None:
-            for name, members in self.groups.items():
-                groups[entity_path(_SERIES, name)] = name, [int(body.index()) for body in members]
-        else:
-            for i in sorted({*bodies.ravel()} & {*self.scene.moving}):
-                path = self.scene.paths[i].removeprefix(f"/{WORLD}")
-                groups.setdefault(_SERIES + path, (path[1:], [i]))
-        totals = {}
-        for path, (name, members) in groups.items():
-            member = np.zeros(len(self.scene.paths), dtype=bool)
-            member[members] = True
-            # Only forces that act on the group from outside count.
-            crossing = member[bodies[:, 0]] != member[bodies[:, 1]]
-            totals[path] = name, np.bincount(sample[crossing], magnitude[crossing], minlength=len(rows))
-        return totals
-
-
-@dataclass(frozen=True)
 class CloseUpSpec:
     """An additional view of the scene that follows a frame.
 
@@ -352,6 +243,6 @@ def _derived(derive: Derive | None, rows: Sequence[np.ndarray], size: int) -> np
     return (derive(values) if derive is not None and len(rows) else values).reshape(len(rows), size)
 
 
-def _column(*keys: str) -> str:
+def column_name(*keys: str) -> str:
     """Returns the name of a table's column for entity paths."""
     return "/".join(keys).strip("/").replace("/", ".")
