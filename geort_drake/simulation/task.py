@@ -250,11 +250,6 @@ class Stage:
         self.judge.restart(self.judge.GetMyMutableContextFromRoot(root))
 
 
-@dc.dataclass(frozen=True)
-class NoSettings:
-    """Settings of a task that has none."""
-
-
 @dc.dataclass(frozen=True, eq=False)
 class Task:
     """A task; each module of `tasks` defines one named `TASK`.
@@ -269,7 +264,7 @@ class Task:
         phases: the person's behaviour.
         percepts: ports of the judge that the person perceives besides those of the view.
         cases_of: returns the objects, one per trial; None for a task without a choice.
-        settings: dataclass of positive numbers for the scenario's `task_settings`.
+        settings: dataclass of positive numbers for the scenario's `task_settings`; None for a task without.
         mirror: name of a percept → signs that mirror it for a left hand.
         placing: how the person places the object, if they do.
         begins_straight: whether the person's fingers are straight at first, because bent ones would collide.
@@ -284,7 +279,7 @@ class Task:
     phases: tuple[Phase, ...]
     percepts: tuple[str, ...] = ()
     cases_of: Callable[[], list[str]] | None = None
-    settings: type = NoSettings
+    settings: type | None = None
     mirror: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
     placing: Placing | None = None
     begins_straight: bool = False
@@ -322,16 +317,18 @@ class Task:
         )
 
     def settings_of(self, scenario: Scenario) -> Any:
-        """Returns the settings of a scenario.
+        """Returns the settings of a scenario; None for a task without.
 
         Raises:
             ValueError: a setting is unknown or out of range.
         """
-        names = [field.name for field in dc.fields(self.settings)]
+        names = [] if self.settings is None else [field.name for field in dc.fields(self.settings)]
         for name in scenario.task_settings:
             if name not in names:
                 choices = f"the settings are: {', '.join(names)}" if names else f"{self.name} has no settings"
                 raise ValueError(f"task_settings has no '{name}'; {choices}")
+        if self.settings is None:
+            return None
         settings = self.settings(**scenario.task_settings)
         require_numbers(settings, "task_settings")
         return settings

@@ -2,7 +2,6 @@
 
 import dataclasses as dc
 import math
-from typing import Any
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
@@ -29,12 +28,10 @@ class Placing:
         hover: height above its place from which the object is lowered, m.
         upright: whether the person turns the object exactly upright. Otherwise, a small tilt is left to
             what it is put on: an object that hangs between two fingertips does not turn with the hand.
-        task: the task's own settings.
     """
 
     hover: float
     upright: bool
-    task: Any = None
 
 
 # -- where the fingertips go
