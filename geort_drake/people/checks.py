@@ -76,6 +76,15 @@ def examine(recording: Recording) -> Recording:
     return dataclasses.replace(recording, metadata={**recording.metadata, "warnings": list(warnings)})
 
 
+def require_side(stated: str, expected: str) -> None:
+    """Refuses the recording of a hand of the other side than was requested."""
+    if stated != expected:
+        raise RecordingError(
+            f"the file contains a {stated} hand, a {expected} one was requested; give --side {stated} or a "
+            f"{stated} robot hand, or convert it with --side {stated} --mirror"
+        )
+
+
 def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> None:
     """Refuses keypoints that are not a person's hand in metres in the wrist frame H.
 

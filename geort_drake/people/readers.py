@@ -12,7 +12,13 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.errors import RecordingError, UnknownNameError, naming
-from geort_drake.people.checks import UNITS_M, examine, require_wrist_frame_hand, training_faults
+from geort_drake.people.checks import (
+    UNITS_M,
+    examine,
+    require_side,
+    require_wrist_frame_hand,
+    training_faults,
+)
 from geort_drake.people.formats import FORMATS, load
 from geort_drake.people.recording import SIDES, Recording
 
@@ -73,7 +79,7 @@ def _read_own(contents: dict, side: str, unit: str | None) -> Recording:
     if unit not in (None, "m"):
         raise RecordingError(f"geort-drake's own files are in metres, not in {unit}")
     recording = Recording.from_arrays(contents)
-    _require_side(recording.side, side)
+    require_side(recording.side, side)
     if recording.valid.any():
         require_wrist_frame_hand(recording.p_HK[recording.valid], "p_HK")
     return recording
@@ -101,7 +107,7 @@ def _read_foreign(
         raise RecordingError(f"'{format}' is read from {', '.join(FORMATS[format].suffixes)}, not '{suffix}'")
     track = FORMATS[format].read(contents, side)
     if track.side is not None:
-        _require_side(track.side, side)
+        require_side(track.side, side)
     unit = unit or track.unit
     warnings = list(track.remarks)
     metadata: dict = {"source": path.name, "format": format, "unit": unit}
@@ -164,14 +170,6 @@ def _repeats(t: np.ndarray, p_WK: np.ndarray) -> np.ndarray:
     same = np.diff(t, prepend=np.nan) == 0
     same[1:] &= ((p_WK[1:] == p_WK[:-1]) | np.isnan(p_WK[1:])).all(axis=(1, 2))
     return same
-
-
-def _require_side(stated: str, expected: str) -> None:
-    if stated != expected:
-        raise RecordingError(
-            f"the file contains a {stated} hand, a {expected} one was requested; give --side {stated} or a "
-            f"{stated} robot hand, or convert it with --side {stated} --mirror"
-        )
 
 
 def _summary(contents: object) -> str:

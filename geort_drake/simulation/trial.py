@@ -110,14 +110,14 @@ class TrialBuilder:
         Raises:
             ScenarioError: the robot cannot do the task.
         """
-        person, timing = self.person(scenario.person), scenario.retargeting
+        plans, person, timing = self.plans(scenario), self.person(scenario.person), scenario.retargeting
         key = id(retarget), scenario.person, timing.latency
         if key not in self._practice:
             adapted = after_play(retarget, person)
             seen = seen_fingertips(adapted, self._hand, person, timing.latency)
             self._practice[key] = retarget, adapted, seen
         _, adapted, seen = self._practice[key]
-        goal, attainable = keep_reached(self.plans(scenario), seen)
+        goal, attainable = keep_reached(plans, seen)
         return Trial(scenario, adapted if timing.adapts_before else retarget, (person, goal), attainable)
 
 
