@@ -1,13 +1,11 @@
 """Converts meshes of a scene graph to Rerun archetypes in the body's frame B."""
 
 import contextlib
-import itertools
 import tempfile
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 import rerun as rr
@@ -24,8 +22,8 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform
 
-# Drake rotates a glTF file's y axis to its own z axis before scaling.
-_GLTF_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+from geort_drake.systems.drawing import GLTF_UP, hull, load_mesh
+
 # Names of entities below that of the geometry, and an archetype.
 Part = tuple[tuple[str, ...], rr.AsComponents]
 
@@ -60,7 +58,7 @@ def draw_mesh(
 
 def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> list[Part]:
     """Returns one mesh per material of an OBJ file."""
-    parts = list(_load(path).geometry.values())
+    parts = list(load_mesh(path).geometry.values())
     drawn: list[Part] = []
     for number, part in enumerate(parts):
         triangles = part.triangles * shape.scale3()
@@ -80,9 +78,9 @@ def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> lis
 
 def _gltf(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> list[Part]:
     """Returns a glTF file with embedded buffers and images, and its pose."""
-    scene = _load(path)
+    scene = load_mesh(path)
     has_materials = any(part.visual.defined for part in scene.geometry.values())
-    scaled = shape.scale3()[:, None] * _GLTF_UP
+    scaled = shape.scale3()[:, None] * GLTF_UP
     asset = rr.Asset3D(
         contents=scene.export(file_type="glb"),
         media_type="model/gltf-binary",
@@ -90,24 +88,6 @@ def _gltf(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> li
     )
     pose = rr.Transform3D(translation=X_BG.translation(), mat3x3=X_BG.rotation().matrix() @ scaled)
     return [((), asset), ((), pose)]
-
-
-def load_triangles(path: Path, scale: np.ndarray) -> np.ndarray:
-    """Returns the triangles (n, 3, 3), m, of a mesh file at a scale (3,), in the axes that Drake uses."""
-    triangles = np.asarray(_load(path).to_mesh().triangles)
-    rotated = triangles if path.suffix == ".obj" else triangles @ _GLTF_UP.T
-    return rotated * scale
-
-
-def _load(path: Path) -> Any:
-    """Loads a file and the files that it references, by percent-encoded names, as a trimesh scene."""
-    import trimesh  # imported here, because few plants have meshes
-
-    class Resolver(trimesh.resolvers.FilePathResolver):
-        def get(self, name: str) -> bytes:
-            return (path.parent / unquote(name.strip())).read_bytes()
-
-    return trimesh.load_scene(path, process=False, resolver=Resolver(str(path)))
 
 
 @contextlib.contextmanager
@@ -147,17 +127,3 @@ def _hydroelastic(inspector: SceneGraphInspector, geometry: GeometryId) -> np.nd
         return None
     vertices = np.array(mesh.vertices())
     return vertices[[[triangle.vertex(i) for i in range(3)] for triangle in mesh.triangles()],]
-
-
-def hull(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """Returns the triangles (n, 3, 3), m, of the convex hull; None if Drake cannot compute it."""
-    try:
-        surface = inspector.GetConvexHull(geometry)
-    except RuntimeError:  # Drake computes hulls on demand; the file may be unreadable
-        return None
-    vertices = np.array([surface.vertex(i) for i in range(surface.num_vertices())])
-    fans = []
-    for face in map(surface.element, range(surface.num_elements())):
-        ring = [face.vertex(i) for i in range(face.num_vertices())]
-        fans += [[ring[0], a, b] for a, b in itertools.pairwise(ring[1:])]
-    return vertices[fans]

@@ -15,7 +15,6 @@ from pydrake.geometry import (
     Ellipsoid,
     GeometryId,
     HalfSpace,
-    Rgba,
     Role,
     SceneGraph,
     SceneGraphInspector,
@@ -33,17 +32,16 @@ from geort_drake.rerun.meshes import draw_mesh
 from geort_drake.rerun.specs import Spec, column_name
 from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path, transform, xyzw
 from geort_drake.systems.contacts import bodies_of_geometries, contact_rows
+from geort_drake.systems.drawing import HALF_SPACE_SIDE, diffuse_color, drawn_geometries
 
-_DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)
 _TRANSLUCENT = 90  # opacity, of 255
-_HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
 _CONTACT_COLOR: Color = (255, 200, 40)
 _ARROWS, _SERIES = f"/{WORLD}/contact/forces", "/contact/force"
 
 # Drake's shape → name of the entity, archetype, and function of its dimensions.
 _SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
     Box: ("boxes", rr.Boxes3D, lambda s: {"sizes": s.size()}),
-    HalfSpace: ("boxes", rr.Boxes3D, lambda _: {"sizes": [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.0]}),
+    HalfSpace: ("boxes", rr.Boxes3D, lambda _: {"sizes": [HALF_SPACE_SIDE, HALF_SPACE_SIDE, 0.0]}),
     Sphere: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.radius()] * 3}),
     Ellipsoid: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.a(), s.b(), s.c()]}),
     Cylinder: ("cylinders", rr.Cylinders3D, lambda s: {"lengths": s.length(), "radii": s.radius()}),
@@ -201,12 +199,7 @@ def describe_scene(
     defaults = plant.CreateDefaultContext()
     for body in bodies:
         index = int(body.index())
-        frame = plant.GetBodyFrameIdIfExists(body.index())
-        if frame is None:
-            continue
-        visible = inspector.GetGeometries(frame, role)
-        geometries = visible or inspector.GetGeometries(frame, Role.kProximity)
-        drawn_role = role if visible else Role.kProximity
+        geometries, drawn_role = drawn_geometries(plant, inspector, body, role)
         scene.shapes += _draw(inspector, geometries, drawn_role, scene.paths[index])
         if not (geometries or index in followed):
             continue
@@ -297,16 +290,7 @@ def _draw(
 
 
 def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
-    for properties in (
-        inspector.GetIllustrationProperties(geometry),
-        inspector.GetPerceptionProperties(geometry),
-        inspector.GetProximityProperties(geometry),
-    ):
-        if properties is not None and properties.HasProperty("phong", "diffuse"):
-            rgba: Any = properties.GetProperty("phong", "diffuse")
-            break
-    else:
-        rgba = _DEFAULT_COLOR
+    rgba = diffuse_color(inspector, geometry)
     return [round(255 * value) for value in (rgba.r(), rgba.g(), rgba.b(), rgba.a())]
 
 

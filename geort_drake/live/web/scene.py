@@ -15,21 +15,25 @@ from pydrake.geometry import (
     GeometryId,
     HalfSpace,
     Mesh,
-    Role,
     SceneGraphInspector,
     Sphere,
 )
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, RigidBody
+from pydrake.multibody.tree import BodyIndex
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.world import ARM, HAND, actuated_joints
+from geort_drake.systems.drawing import (
+    HALF_SPACE_SIDE,
+    diffuse_color,
+    drawn_geometries,
+    hull,
+    load_triangles,
+)
 from geort_drake.systems.port_values import pose_to_vector
 
-_GREY = [0.75, 0.75, 0.78, 1.0]
-_GROUND_M = 2.0  # side of the square that stands for a half space
 # View → direction from the middle of hand and objects to the eye, and the distance in radii of both. In all
 # views, left is left for a person who moves the robot.
 _VIEWS = {
@@ -40,7 +44,7 @@ _VIEWS = {
 _HAND_M = 0.16  # from a hand's base to its fingertips
 _SHAPES: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
     Box: lambda s: ("box", s.size().tolist()),
-    HalfSpace: lambda s: ("box", [_GROUND_M, _GROUND_M, 0.0]),
+    HalfSpace: lambda s: ("box", [HALF_SPACE_SIDE, HALF_SPACE_SIDE, 0.0]),
     Sphere: lambda s: ("ellipsoid", 3 * [s.radius()]),
     Ellipsoid: lambda s: ("ellipsoid", [s.a(), s.b(), s.c()]),
     Cylinder: lambda s: ("cylinder", [s.radius(), s.length()]),
@@ -75,7 +79,7 @@ class Scene:
         defaults = plant.CreateDefaultContext()
         geometries: list[dict[str, Any]] = []
         for body in map(plant.get_body, map(BodyIndex, range(plant.num_bodies()))):
-            ids = self._visible(plant, body)
+            ids, _ = drawn_geometries(plant, inspector, body)
             number = None
             if not plant.IsAnchored(body) and (ids or body.index() == base.body().index()):
                 number = len(self.moving)
@@ -120,13 +124,6 @@ class Scene:
         parts = [pose_to_vector(poses[index]) for index in map(int, self.moving)]
         return np.concatenate([[time], *parts, points.ravel()]).astype("<f4").tobytes()
 
-    def _visible(self, plant: MultibodyPlant, body: RigidBody) -> list[GeometryId]:
-        frame = plant.GetBodyFrameIdIfExists(body.index())
-        if frame is None:
-            return []
-        roles = (Role.kIllustration, Role.kProximity)
-        return next((ids for role in roles if (ids := self._inspector.GetGeometries(frame, role))), [])
-
     def _shape(self, geometry: GeometryId) -> dict[str, Any] | None:
         shape = self._inspector.GetShape(geometry)
         if type(shape) in _SHAPES:
@@ -141,11 +138,6 @@ class Scene:
 
     def _triangles(self, geometry: GeometryId, shape: Mesh | Convex) -> np.ndarray | None:
         """Returns triangles (n, 3, 3), m, from the file of a mesh, or else of its convex hull."""
-        from geort_drake.rerun.meshes import (  # Rerun is heavy, and few plants have meshes
-            hull,
-            load_triangles,
-        )
-
         source = shape.source()
         if isinstance(shape, Mesh) and source.is_path():
             try:
@@ -156,10 +148,7 @@ class Scene:
         return hull(self._inspector, geometry)
 
     def _color(self, geometry: GeometryId) -> list[float]:
-        properties = self._inspector.GetIllustrationProperties(geometry)
-        if properties is None or not properties.HasProperty("phong", "diffuse"):
-            return _GREY
-        rgba = properties.GetProperty("phong", "diffuse")
+        rgba = diffuse_color(self._inspector, geometry)
         return [rgba.r(), rgba.g(), rgba.b(), rgba.a()]
 
 
