@@ -158,7 +158,7 @@ def outcome_of(judgement: Judgement, until: float, begins: float = 0.0, **inputs
             name: np.array([np.interp(time, t, column) for column in np.transpose(values)])
             for name, (t, values) in inputs.items()
         }
-        outcome = judgement(outcome.having(t=time), seen)
+        outcome = judgement(outcome.replace(t=time), seen)
         if outcome.over:
             break
     return outcome

@@ -225,7 +225,7 @@ def judged(heights, contacts, repeats=10, x=None, hand_heights=None, palm=None, 
             "link_contact": np.array([*contact, 0.0 if palm is None else palm[step]]),
         }
         for repeat in range(repeats):
-            outcome = judge(outcome.having(t=PERIOD * (repeats * step + repeat)), seen)
+            outcome = judge(outcome.replace(t=PERIOD * (repeats * step + repeat)), seen)
             if outcome.over:
                 return outcome
     return outcome

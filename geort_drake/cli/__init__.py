@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 success, 1 partial success, 2 invalid input, 130 interrupted.
     """
     try:
-        return _run([_home_expanded(word) for word in (sys.argv[1:] if argv is None else argv)])
+        return _run(list(sys.argv[1:] if argv is None else argv))
     except KeyboardInterrupt:  # while modules are imported; later `exit_code_of` handles it
         print("interrupted", file=sys.stderr)
         return 130
@@ -70,12 +70,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 2
-
-
-def _home_expanded(word: str) -> str:
-    """Returns `--option=~/folder` with the home folder, which shells only insert where a word begins."""
-    option, equals, value = word.partition("=")
-    return option + equals + os.path.expanduser(value) if option.startswith("--") else word
 
 
 def _run(words: list[str]) -> int:
@@ -150,7 +144,7 @@ def parse(name: str, argv: Sequence[str]) -> "Command":
     import tyro
 
     command = load_command(name)
-    # Shells leave a ~ behind an equals sign, as in --output=~/run.
+    # Shells insert the home folder only where a word begins, not in --output=~/run.
     parts = [word.partition("=") for word in argv]
     words = [option + equals + os.path.expanduser(value) for option, equals, value in parts]
     config = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)

@@ -155,7 +155,7 @@ class Judge(PythonSystem):
             return EventStatus.DidNothing()
         seen = {name: port.Eval(context) for name, port in self._inputs.items()}
         touches_itself = t > 0 and seen["self_contact"][0] > 0
-        outcome = self._judgement(before.having(t=t), seen).having(
+        outcome = self._judgement(before.replace(t=t), seen).replace(
             peak_force=max(before.peak_force, float(seen["contact"].max())),
             self_contact_time=before.self_contact_time + PERIOD * bool(touches_itself),
         )

@@ -95,7 +95,7 @@ def judgement(
         success = len(times) == len(steps)
         reached = dict(zip(steps, times, strict=False))
         last = list(reached)[-1] if reached else "reach"
-        return before.having(
+        return before.replace(
             phase=len(times),
             success=success,
             over=success or lost,

@@ -26,7 +26,7 @@ class Immutable:
     def __deepcopy__(self, memo: dict) -> Self:
         return self
 
-    def having(self, **values: Any) -> Self:
+    def replace(self, **values: Any) -> Self:
         """Returns a copy with some fields replaced, ten times as fast as `dataclasses.replace`."""
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__, **values)

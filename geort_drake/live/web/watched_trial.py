@@ -30,7 +30,7 @@ class WatchedTrial:
     def outcome(self, root: Context) -> Outcome:
         """Returns the task's outcome so far; a trial that takes too long is over."""
         outcome = self.parts.stage.outcome(root)
-        return outcome.having(over=outcome.over or root.get_time() >= self.timeout)
+        return outcome.replace(over=outcome.over or root.get_time() >= self.timeout)
 
     def restart(self, root: Context) -> None:
         """Does nothing, as a trial begins when its diagram does."""

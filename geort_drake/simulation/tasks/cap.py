@@ -60,7 +60,7 @@ def judgement(settings: CapSettings) -> Judgement:
     def judge(before: Outcome, seen: Observation) -> Outcome:
         turned = math.degrees(seen["joints"][0])
         score, success = min(max(turned / settings.turn, 0.0), 1.0), turned >= settings.turn
-        return before.having(
+        return before.replace(
             phase=int(STEPS * score),
             success=success,
             over=success,

@@ -174,7 +174,7 @@ def judgement(
         text = f"timeout: {phase.name.lower()}"
         if phase == GraspPhase.THROWN:
             text = f"thrown: {memory['last_touched'].name.lower()}"
-        return before.having(
+        return before.replace(
             phase=int(phase),
             success=success,
             over=over,

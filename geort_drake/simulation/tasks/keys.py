@@ -109,7 +109,7 @@ def judgement(settings: KeysSettings, cued: Sequence[int]) -> Judgement:
         over = len(presses) == len(cued) and math.isnan(cued_since)
         success = over and clean >= settings.enough
         faults = f"{len(presses) - len(pressed)} not pressed, {len(presses) - still} with others"
-        return before.having(
+        return before.replace(
             phase=0 if math.isnan(cued_since) else presses[-1].key + 1,
             success=success,
             over=over,
