@@ -37,8 +37,8 @@ from geort_drake.live.robots import RobotLink
 from geort_drake.live.transports import (
     LOCAL_LCM,
     MAX_BYTES,
-    heard_from_outside,
     is_local,
+    is_routed_to_network,
     open_receiver,
     open_sender,
     split_address,
@@ -298,8 +298,8 @@ def test_addresses_open_to_the_network_are_recognised(tmp_path):
         ("", False),
     ):
         table.write_text(head + routes)
-        assert heard_from_outside(LOCAL_LCM, table) == outside
-    assert heard_from_outside(LOCAL_LCM, tmp_path / "none")
+        assert is_routed_to_network(LOCAL_LCM, table) == outside
+    assert is_routed_to_network(LOCAL_LCM, tmp_path / "none")
 
 
 @pytest.fixture
@@ -514,7 +514,7 @@ def test_the_handshake_reports_where_the_robot_stands():
     other = Bus()
     other.report(["finger_1"], [0.0])
     other.refused, other.last_refusal = 3, "joint state: not JSON"
-    with pytest.raises(LiveError, match=r"that the model has not: finger_1; 3 messages were refused, the"):
+    with pytest.raises(LiveError, match=r"that the model lacks: finger_1; 3 messages were refused, the"):
         RobotLink(other, *groups(), period=0.01).handshake(0.01)
 
 

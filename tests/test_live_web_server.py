@@ -30,7 +30,7 @@ from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
 from geort_drake.live.web.messages import MAX_BYTES
 from geort_drake.live.web.scene import Scene, measured_poses
-from geort_drake.live.web.serve import find_page, is_loopback, own_addresses, self_signed_context
+from geort_drake.live.web.serve import find_page, host_names, is_loopback, self_signed_context
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
 from geort_drake.systems.port_values import pose_to_vector
@@ -131,7 +131,7 @@ def test_a_port_in_use_is_an_error_in_words():
 async def test_beyond_this_machine_there_is_a_certificate():
     assert is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("localhost")
     assert not is_loopback("0.0.0.0") and not is_loopback("192.168.1.2") and not is_loopback("desk.local")
-    assert "0.0.0.0" not in own_addresses("0.0.0.0")
+    assert "0.0.0.0" not in host_names("0.0.0.0")
     with serving(tls=self_signed_context(["127.0.0.1", "desk.local"])) as (server, _, base):
         async with page_of(base, ssl=False) as page:
             assert (await greet(page))["role"] == "operator"

@@ -207,18 +207,20 @@ class Benchmark(Command, ScenarioOptions):
                 (self.persons if new else None) or settings.persons,
                 self._count if new else settings.trials,
             )
-            left = log.unfinished(keys)
-            say(f"trials: {len(keys)}, already finished: {len(keys) - len(left)}")
-            if not left:
+            unfinished = log.unfinished(keys)
+            say(f"trials: {len(keys)}, already finished: {len(keys) - len(unfinished)}")
+            if not unfinished:
                 return
-            cases = len({(key[2:5], key.object) for key in left})
-            for _ in track("planning", benchmark.plan(left, jobs, backend), cases, str):
+            cases = len({(key[2:5], key.object) for key in unfinished})
+            for _ in track("planning", benchmark.plan(unfinished, jobs, backend), cases, str):
                 pass
             for case, reason in settings.refused.items():
                 warn(f"left out: {case}: {reason}")
-            left = [key for key in left if not benchmark.is_refused(key)]
-            rows = benchmark.run(log, left, jobs, backend)
-            for _ in track("simulating", rows, len(left), lambda row: f"{key_of(row)}: {_outcome(row)}"):
+            unfinished = [key for key in unfinished if not benchmark.is_refused(key)]
+            rows = benchmark.run(log, unfinished, jobs, backend)
+            for _ in track(
+                "simulating", rows, len(unfinished), lambda row: f"{key_of(row)}: {_outcome(row)}"
+            ):
                 pass
 
     def _print_report(self) -> int:

@@ -390,11 +390,11 @@ def remove_visuals(plant: MultibodyPlant, scene_graph: SceneGraph, root: Context
 
 def require_name(field: str, kind: str, name: str, choices: Iterable[str]) -> None:
     """Raises HandError, with the choices, unless a name given in a field is among them."""
-    listed = [choice for choice in choices if choice]
-    if name not in listed:
+    names = [choice for choice in choices if choice]
+    if name not in names:
         raise HandError(
             f"{field} names the {kind} '{name}', which the model lacks; "
-            f"choose one of: {', '.join(listed) or 'none'}"
+            f"choose one of: {', '.join(names) or 'none'}"
         )
 
 

@@ -81,9 +81,9 @@ class HandClearance:
         self._plant, self._inspector = hand.plant, hand.scene_graph.model_inspector()
         # The joints of q and their followers.
         self._names = [*hand.joint_names, *hand.couplings.names]
-        listed = list(joints or hand.joint_names)
-        self._to_hand = np.array([listed.index(name) for name in hand.joint_names])
-        coupling = np.vstack([np.eye(len(listed)), hand.couplings.ratio])
+        order = list(joints or hand.joint_names)
+        self._to_hand = np.array([order.index(name) for name in hand.joint_names])
+        coupling = np.vstack([np.eye(len(order)), hand.couplings.ratio])
         self._coupling = coupling[:, np.argsort(self._to_hand)]
         self._read_chains()
         self.pairs = self._pairs()

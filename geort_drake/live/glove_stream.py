@@ -269,7 +269,8 @@ class SenderClock:
         self._usual = max(self._usual, frames)
         growth = float(np.median(np.diff([block.fastest for block in self._blocks])))
         drift = growth / _BLOCK_S
-        # A queue that grows by `drift` lets that share fewer frames arrive. The blocks' limits cut off one.
+        # While a queue grows by `drift`, that share of the frames is still under way; and one frame may fall
+        # outside of the blocks.
         if 0.0 < drift <= _MAX_DRIFT and frames >= self._usual * (1.0 - 0.25 * drift) - 1.0:
             self.drift = drift
             self.offset = max(self.offset, self._blocks[0].offset + (_BLOCKS - 1) * growth)

@@ -102,7 +102,7 @@ def decode_state(message: bytes) -> JointState:
     """
     fields = _fields(message, JointState)
     if not isinstance(fields["fault"], str):
-        raise LiveError(f"joint state: fault must be a text, not {fields['fault']!r:.40}")
+        raise LiveError(f"joint state: fault must be a string, not {fields['fault']!r:.40}")
     return JointState(**fields)
 
 
@@ -128,7 +128,7 @@ def _fields(message: bytes, kind: type[JointTargets] | type[JointState]) -> dict
     del fields["format"], fields["version"]
     names = fields["names"]
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise LiveError(f"{what}: names must be a list of texts, not {names!r:.60}")
+        raise LiveError(f"{what}: names must be a list of strings, not {names!r:.60}")
     if len({*names}) != len(names):
         raise LiveError(f"{what}: a name occurs twice in names: {', '.join(names)[:80]}")
     for name in ("position", "velocity"):

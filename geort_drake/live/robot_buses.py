@@ -74,7 +74,7 @@ class Device:
 
     def encode_command(self, targets: JointTargets) -> bytes:
         """Returns the message that commands the targets' positions of the device's joints."""
-        (q,) = self._own(targets.names, targets.position)
+        (q,) = self._in_order(targets.names, targets.position)
         return self._encode(self.command_type, targets.time, {self.count_field: len(q), "joint_position": q})
 
     def decode_command(self, message: bytes) -> JointTargets:
@@ -98,7 +98,7 @@ class Device:
         # Each list in a status has one number per joint.
         empty = self.status_type()
         fields = {name: [0.0] * n for name in empty.__slots__ if isinstance(getattr(empty, name), list)}
-        q, v = self._own(state.names, state.position, state.velocity)
+        q, v = self._in_order(state.names, state.position, state.velocity)
         fields |= zip(self.status_fields, (q, v, q), strict=True)
         return self._encode(self.status_type, state.time, {"num_joints": n} | fields)
 
@@ -114,7 +114,7 @@ class Device:
         q, v, _ = (self._joint_values(status, field) for field in self.status_fields)
         return JointState(0, 1e-6 * status.utime, self.joints, q, v)
 
-    def _own(self, names: Sequence[str], *values: np.ndarray) -> list[list[float]]:
+    def _in_order(self, names: Sequence[str], *values: np.ndarray) -> list[list[float]]:
         """Returns arrays of values (N,) of named joints as lists for the device's joints, in its order."""
         order = [list(names).index(name) for name in self.joints]
         return [np.asarray(array, float)[order].tolist() for array in values]

@@ -260,9 +260,9 @@ class RobotLink(PythonSystem):
     def _missing(self) -> list[str]:
         """Returns the joints that have no state yet: those of the hand, and of an arm if there is one."""
         hand, arm = (group for group, _, _ in self._ports)
-        there = any(name in self._measured for name in arm.joints)
-        wanted = [*hand.joints, *(arm.joints if there or self.bus.arm_is_required else [])]
-        return [name for name in wanted if name not in self._measured]
+        has_arm = self.bus.arm_is_required or any(name in self._measured for name in arm.joints)
+        required = [*hand.joints, *(arm.joints if has_arm else [])]
+        return [name for name in required if name not in self._measured]
 
     def _start(self, group: JointGroup) -> np.ndarray:
         if group not in self._groups:
@@ -280,7 +280,7 @@ class RobotLink(PythonSystem):
     def _silence(self, timeout_s: float) -> str:
         missing = self._missing()
         others = sorted({*self._measured} - {name for group, _, _ in self._ports for name in group.joints})
-        unknown = f"; it reports joints that the model has not: {', '.join(others)[:200]}" if others else ""
+        unknown = f"; it reports joints that the model lacks: {', '.join(others)[:200]}" if others else ""
         names = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
         return f"no robot: no state of {names} within {timeout_s:g} s{unknown}{self._refusals()}"
 
@@ -311,9 +311,9 @@ class RobotLink(PythonSystem):
         self._fetch()
         for group, _, index in self._ports:
             resting = [(q, 0.0) for q in group.start]
-            there = self._has(group)
-            values = [self._measured[name] for name in group.joints] if there else resting
-            if there or group not in self._groups:
+            is_measured = self._has(group)
+            values = [self._measured[name] for name in group.joints] if is_measured else resting
+            if is_measured or group not in self._groups:
                 discrete_state.get_mutable_vector(index).SetFromVector(np.ravel(np.transpose(values)))
         return EventStatus.Succeeded()
 

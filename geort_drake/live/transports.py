@@ -112,8 +112,8 @@ def is_local(address: str) -> bool:
     return "ipc://" in address or re.search(r"//(127\.[\d.]+|localhost):", address) is not None
 
 
-def heard_from_outside(url: str, routes: Path = _ROUTES) -> bool:
-    """Returns whether other machines' messages arrive: whether an LCM URL's group is routed to a network.
+def is_routed_to_network(url: str, routes: Path = _ROUTES) -> bool:
+    """Returns whether an LCM URL's group is routed to a network, so that messages of other machines arrive.
 
     `ttl=0` limits only what this machine sends. The result is True if the routes are unknown.
 

@@ -228,9 +228,9 @@ def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
     return np.concatenate([quaternions * signs[:, None], p_WH], axis=1)
 
 
-def newest(sampled: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Returns for each time t (T,) the row of the latest sample, taken at `sampled` (S,); at least 0."""
-    return np.maximum(np.searchsorted(sampled, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
+def newest(sample_times: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """Returns for each time t (T,), s, the row of the latest sample up to it, of those at `sample_times`."""
+    return np.maximum(np.searchsorted(sample_times, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
 
 
 def _checked_metadata(metadata: dict) -> dict:

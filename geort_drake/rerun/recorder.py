@@ -110,9 +110,9 @@ def add_rerun_recorder(
         properties or {},
         text,
     )
-    taken = builder.HasSubsystemNamed("rerun_recorder")
+    is_second = builder.HasSubsystemNamed("rerun_recorder")
     builder.AddNamedSystem(
-        f"rerun_recorder_{len(builder.GetSystems())}" if taken else "rerun_recorder", recorder
+        f"rerun_recorder_{len(builder.GetSystems())}" if is_second else "rerun_recorder", recorder
     )
     for name, source in sources.items():
         builder.Connect(source, recorder.GetInputPort(name))

@@ -8,7 +8,14 @@ from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
 
 from geort_drake.hands.hand import Hand
-from geort_drake.hands.importers.fingers import FingerShape, Part, finger_shapes, parts_of, unit
+from geort_drake.hands.importers.fingers import (
+    CLOSING_FRACTION,
+    FingerShape,
+    Part,
+    finger_shapes,
+    parts_of,
+    unit,
+)
 from geort_drake.hands.importers.structure import HandStructure
 from geort_drake.people.keypoints import FINGER_NAMES
 
@@ -27,8 +34,6 @@ _SIDES = {
 # Up to the first angle from the axes of the palm's link, the hand base is aligned with these axes, because
 # stretched fingers may lean against the palm; above the second angle, a note says so.
 _SNAP_ANGLE, _NOTED_ANGLE = np.deg2rad(30.0), np.deg2rad(5.0)
-# Fingers close to one side if mid-range is off the stretched posture by this part of the range.
-_CLOSING_FRACTION = 0.25
 # A thumb is at the fingers' side if its sideways offset is over this fraction of its offset to the front.
 _SIDEWAYS_FRACTION = 0.35
 # Index and last finger tell the side if their knuckles are this far apart, m.
@@ -44,15 +49,15 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
         notes: receives a sentence on each guess.
     """
     plant = structure.plant
-    drawn = [plant.GetJointByName(name, structure.hand).get_default_angle() for name in hand.joint_names]
-    fingers = finger_shapes(hand, np.clip(drawn, hand.lower, hand.upper))
+    q_drawn = [plant.GetJointByName(name, structure.hand).get_default_angle() for name in hand.joint_names]
+    fingers = finger_shapes(hand, np.clip(q_drawn, hand.lower, hand.upper))
     named, thumb = _thumb(structure, fingers, notes)
     others = [number for number in range(len(fingers)) if number != thumb]
     knuckles = np.array([finger.p_knuckle for finger in fingers])
     middle = knuckles[others].mean(axis=0)
     z = unit(np.mean([fingers[number].direction for number in others], axis=0))
     x = np.sum([fingers[number].bending for number in others], axis=0)
-    if np.linalg.norm(x) < _CLOSING_FRACTION * sum(fingers[number].play for number in others):
+    if np.linalg.norm(x) < CLOSING_FRACTION * sum(fingers[number].play for number in others):
         x = fingers[thumb].p_base - middle
         notes.append("the fingers bend equally to both sides; the palm is assumed to be on the thumb's side")
     x = unit(x - (x @ z) * z)
@@ -105,12 +110,13 @@ def _thumb(
         p_base = np.array([finger.p_base for finger in fingers])
         directions = np.array([finger.direction for finger in fingers])
         scale = max(float(np.ptp(p_base, axis=0).max()), 1e-6)
-        apart = []
+        differences = []
         for number in range(len(fingers)):
             others = np.delete(np.arange(len(fingers)), number)
-            turned = 1.0 - directions[number] @ unit(directions[others].mean(axis=0))
-            apart.append(turned + np.linalg.norm(p_base[number] - p_base[others].mean(axis=0)) / scale)
-        thumb = int(np.argmax(apart))
+            turn = 1.0 - directions[number] @ unit(directions[others].mean(axis=0))
+            offset = np.linalg.norm(p_base[number] - p_base[others].mean(axis=0))
+            differences.append(turn + offset / scale)
+        thumb = int(np.argmax(differences))
     joints = ", ".join(structure.chains[thumb].joints)
     notes.append(f"no name identifies the thumb; it is assumed to be the finger with the joints {joints}")
     return None, thumb

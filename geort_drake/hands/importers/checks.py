@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from geort_drake.errors import listed
 from geort_drake.hands.hand import Hand
-from geort_drake.hands.importers.fingers import finger_shapes, parts_of, unit
+from geort_drake.hands.importers.fingers import CLOSING_FRACTION, finger_shapes, parts_of, unit
 
 # Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
@@ -26,8 +26,6 @@ _PINCH_SAMPLES, _PINCH_STARTS = 2000, 4
 _ORDER_MARGIN = 0.005
 # A stretched finger may lean by this angle from +z, or bend by it from +x, degrees.
 _LEANING = 50.0
-# Fingers bend to one side if mid-range is off the stretched posture by this part of the range.
-_CLOSING_FRACTION = 0.25
 # A tip may be this far outside of its link's geometry, in addition to its radius, m.
 _TIP_MARGIN = 0.015
 # Shorter links need no collision geometry, m.
@@ -114,7 +112,7 @@ def _orientation(hand: Hand) -> Iterator[str]:
                 f"{names[number]} (joints {joints}) points {angle:.0f} degrees away from +z of the hand base "
                 "when it is stretched: base_pose or base_frame is wrong, or the joints' limits are"
             )
-        bends = np.linalg.norm(shape.bending) > _CLOSING_FRACTION * shape.play
+        bends = np.linalg.norm(shape.bending) > CLOSING_FRACTION * shape.play
         angle = _angle(shape.bending, 0)
         if bends and angle > _LEANING:
             yield (

@@ -129,6 +129,8 @@ _PARALLEL = np.cos(np.deg2rad(35.0))
 _STRETCH_GRID = 41
 # A joint stays at its start where stretching lengthens the finger by less than this fraction.
 _STRETCH_GAIN = 0.02
+# Fingers bend to one side if mid-range is off the stretched posture by this part of the range.
+CLOSING_FRACTION = 0.25
 
 
 @dataclass(frozen=True)

@@ -94,16 +94,16 @@ def propose(
         if not source.startswith("a sphere"):
             guessed.setdefault(source, []).append(f"{label} {1e3 * finger.tip_radius:.1f} mm")
     notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
-    for reason in dict.fromkeys(structure.held.values()):
-        joints = listed([f"'{joint}'" for joint, why in structure.held.items() if why == reason])
+    for reason in dict.fromkeys(structure.held_joints.values()):
+        joints = listed([f"'{joint}'" for joint, why in structure.held_joints.items() if why == reason])
         notes.append(f"joints are held at their default positions, as each {reason}: {joints}")
     notes += structure.notes
     palm_link = structure.palm[0]
     X_PB = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), palm_link).inverse() @ X_RB
     rpy_deg = np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
-    taken = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
+    frames = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
     base = next(
-        f"{_BASE_NAME}{extra}" for extra in ("", *range(2, 100)) if f"{_BASE_NAME}{extra}" not in taken
+        f"{_BASE_NAME}{extra}" for extra in ("", *range(2, 100)) if f"{_BASE_NAME}{extra}" not in frames
     )
     overlaps = _overlaps(hand)
     if overlaps:
@@ -208,12 +208,14 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
     """Keeps the model's own gains if every joint has a controller, else returns default gains."""
     plant = structure.plant
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices(structure.hand)]
-    ready = {actuator.joint().name() for actuator in actuators if actuator.has_controller()}
+    controlled = {actuator.joint().name() for actuator in actuators if actuator.has_controller()}
     joints = [joint for chain in structure.chains for joint in chain.joints]
-    without = [f"'{joint}'" for joint in joints if joint not in ready]
+    without = [f"'{joint}'" for joint in joints if joint not in controlled]
     if not without:
         return ActuationDescription()
-    some = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have" if ready else "the model has"
+    some = "the model has"
+    if controlled:
+        some = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have"
     notes.append(
         f"{some} no position controllers; under actuation, replace the default gains "
         f"{_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m with "

@@ -56,7 +56,7 @@ class HandStructure:
         palm: links of the palm, beginning with the one that carries most fingers.
         chains: the 2 to 5 fingers.
         couplings: the joints that follow others.
-        held: joints that cannot belong to a finger, and the reason for each.
+        held_joints: joints that cannot belong to a finger, and the reason for each.
         notes: sentences on couplings that are guessed or ignored.
 
     Args:
@@ -111,12 +111,13 @@ class HandStructure:
             )
         fingers = [finger for finger in fingers if finger in longest[:MAX_FINGERS]]
         leaders = {c.joint: c.follows for c in resolved_couplings(self.couplings)}
-        self.held = self._held_joints(fingers, leaders)
+        self.held_joints = self._find_held_joints(fingers, leaders)
         chains = [self._chain(finger, leaders) for finger in fingers]
         self.chains = [chain for chain in chains if chain is not None]
         if len(self.chains) < 2:
             in_chains = set(itertools.chain(*fingers))
-            reasons = "".join(f"; '{name}' {why}" for name, why in self.held.items() if name in in_chains)
+            held = {name: why for name, why in self.held_joints.items() if name in in_chains}
+            reasons = "".join(f"; '{name}' {why}" for name, why in held.items())
             raise HandError(
                 f"{len(self.chains)} chains of movable revolute joints start at {where}; expected a hand "
                 f"of 2 to {MAX_FINGERS} fingers{reasons}"
@@ -180,7 +181,7 @@ class HandStructure:
                 fingers.append(path)
         return [path for path in ends if path in fingers]
 
-    def _held_joints(self, fingers: list[Group], leaders: dict[str, str]) -> dict[str, str]:
+    def _find_held_joints(self, fingers: list[Group], leaders: dict[str, str]) -> dict[str, str]:
         """Returns the joints that cannot belong to a finger, and the reason for each."""
         moved: dict[str, set[int]] = {}
         for number, finger in enumerate(fingers):
@@ -206,7 +207,7 @@ class HandStructure:
 
     def _chain(self, finger: Group, leaders: dict[str, str]) -> Chain | None:
         """Returns the chain of a finger; None if none of its joints moves independently."""
-        moving = [name for name in finger if leaders.get(name, name) not in self.held]
+        moving = [name for name in finger if leaders.get(name, name) not in self.held_joints]
         independent = [name for name in moving if name not in leaders]
         if not independent:
             return None

@@ -65,10 +65,9 @@ class Operator:
         pointer: the hand that its mouse moves.
         reader: reads its hands.
         time: time of its last hand, s on the page's clock.
-        first: its first hands (21, 3), m, not checked yet.
-        known: whether its first hands were checked.
+        first_hands: its first hands (21, 3), m, until they are checked; None afterwards.
         fist_since: since when a fist has been held, s; None without one, infinite after its command.
-        asked: when a confirmation was asked for, s.
+        asked_at: when a confirmation was asked for, s.
     """
 
     number: int
@@ -76,10 +75,9 @@ class Operator:
     reader: HandReader
     pointer: PointerHand = dc.field(default_factory=PointerHand)
     time: float = 0.0
-    first: list[np.ndarray] = dc.field(default_factory=list)
-    known: bool = False
+    first_hands: list[np.ndarray] | None = dc.field(default_factory=list)
     fist_since: float | None = None
-    asked: float = -math.inf
+    asked_at: float = -math.inf
 
 
 class OperatorStation:
@@ -229,8 +227,8 @@ class OperatorStation:
             frame = operator.pointer.frame(message, self.about.side)
         else:
             frame = operator.reader.read(message)
-            if not operator.known:
-                self._get_to_know(operator, frame.p_HK)
+            if operator.first_hands is not None:
+                self._check_first_hands(operator, operator.first_hands, frame.p_HK)
                 return
         self._follow(operator, frame)
 
@@ -243,14 +241,16 @@ class OperatorStation:
         self._hands.append(encode_frame(frame))
         self.received += 1
 
-    def _get_to_know(self, operator: Operator, p_HK: np.ndarray | None) -> None:
-        """Checks a person's first hands, as a glove's handshake does."""
+    def _check_first_hands(
+        self, operator: Operator, hands: list[np.ndarray], p_HK: np.ndarray | None
+    ) -> None:
+        """Adds a hand to a person's first ones, and checks these as a glove's handshake does."""
         if p_HK is not None:
-            operator.first.append(p_HK)
-        if len(operator.first) == HANDSHAKE_FRAMES:
-            hands, operator.first = np.stack(operator.first), []
-            require_wrist_frame_hand(hands, "the page's hand")
-            operator.known = True
+            hands.append(p_HK)
+        if len(hands) == HANDSHAKE_FRAMES:
+            operator.first_hands = []  # others must pass if these do not
+            require_wrist_frame_hand(np.stack(hands), "the page's hand")
+            operator.first_hands = None
 
     def _watch_fist(self, operator: Operator) -> None:
         if self.p_HK is None or not is_fist(self.p_HK):
@@ -284,8 +284,8 @@ class OperatorStation:
             if isinstance(command, Reset):
                 raise LiveError("this is for the simulation; here a real robot moves")
             now = self._clock()
-            if isinstance(command, Engage) and now - operator.asked > _CONFIRM_S:
-                operator.asked = now
+            if isinstance(command, Engage) and now - operator.asked_at > _CONFIRM_S:
+                operator.asked_at = now
                 raise LiveError(f"this moves a real robot: engage once more within {_CONFIRM_S:g} s")
         self.commands.append(command)
 

@@ -44,7 +44,7 @@ def open_server(
         from geort_drake.live.web.server import WebServer
     except ImportError:
         raise LiveError("the page needs aiohttp: pip install 'geort-drake[live]'") from None
-    hosts = own_addresses(host)
+    hosts = host_names(host)
     tls = None if is_loopback(host) else self_signed_context(hosts)
     key = secrets.token_urlsafe(16)
     server = WebServer(station, host, port, key, page, tls)
@@ -97,7 +97,7 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
-def own_addresses(host: str) -> list[str]:
+def host_names(host: str) -> list[str]:
     """Returns the names by which other machines reach `host`, which may stand for all interfaces."""
     if host not in ("0.0.0.0", "::"):
         return [host]
