@@ -359,14 +359,14 @@ def _collision_checker(
         implicit_context_parallelism=Parallelism(False),
     )
     moving = plant.GetBodiesKinematicallyAffectedBy(plant.GetJointIndices(arm))
+    filters = checker.GetFilteredCollisionMatrix().copy()  # set at once, as a call takes 2 ms
     for index in [*plant.GetBodyIndices(arm), *plant.GetBodyIndices(hand)]:
-        body = plant.get_body(index)
-        if index not in moving or body.model_instance() == hand:  # the person sees what the hand meets
-            checker.SetCollisionFilteredWithAllBodies(body)
-            continue
-        for other in moving:
-            if other != index:
-                checker.SetCollisionFilteredBetween(body, plant.get_body(other), True)
+        # The person sees what the hand meets.
+        is_checked = index in moving and plant.get_body(index).model_instance() != hand
+        others = list(map(int, moving)) if is_checked else slice(None)
+        filters[int(index), others] = filters[others, int(index)] = 1
+    np.fill_diagonal(filters, -1)  # of each body with itself, as Drake wants
+    checker.SetCollisionFilterMatrix(filters)
     return checker
 
 

@@ -22,6 +22,7 @@ _FREE_FRACTION = 0.75
 FREQUENT_FRACTION = 0.4
 _POSTURES = 100
 _PINCH_SAMPLES, _PINCH_STARTS = 2000, 4
+_MEETING = 1e-4  # m; tips that come so near to each other need no better start
 # Fingers must be misplaced by more than this for a finding, m.
 _ORDER_MARGIN = 0.005
 # A stretched finger may lean by this angle from +z, or bend by it from +x, degrees.
@@ -93,9 +94,21 @@ def nearest_pinch(hand: Hand, number: int) -> float:
 
     q = hand.sample(_PINCH_SAMPLES)
     starts = q[np.argsort(np.linalg.norm(offset(q), axis=1))[:_PINCH_STARTS]]
-    limits = hand.lower, hand.upper
-    solutions = [least_squares(offset, start, bounds=limits, xtol=1e-5) for start in starts]
-    return min(float(np.linalg.norm(solution.fun)) for solution in solutions)
+    of_both = {*hand.description.fingers[0].joints, *hand.description.fingers[number].joints}
+    moved = [column for column, name in enumerate(hand.joint_names) if name in of_both]
+    limits, nearest = (hand.lower[moved], hand.upper[moved]), np.inf
+    for start in starts:
+
+        def offset_of_both(q_both: np.ndarray, start: np.ndarray = start) -> np.ndarray:
+            posture = start.copy()
+            posture[moved] = q_both
+            return offset(posture)
+
+        solution = least_squares(offset_of_both, start[moved], bounds=limits, xtol=1e-5)
+        nearest = min(nearest, float(np.linalg.norm(solution.fun)))
+        if nearest < _MEETING:
+            break
+    return nearest
 
 
 def _orientation(hand: Hand) -> Iterator[str]:
