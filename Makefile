@@ -1,10 +1,11 @@
 # make grasp: install into .venv, simulate grasps, show the results; ARGS="--retargeter geort" trains a retargeter first.
-# make test:  install the test extra and run the tests.
+# make test:  install the test extra and run the tests but the slow ones, which takes three to four minutes on
+#             two cores; ARGS="-k planner" runs some of them.
+# make test-all: run the slow ones, too, see CONTRIBUTING.md.
 # make test-lowest, make test-newest: the same with the oldest and the newest versions of the dependencies,
 #             in .venv-lowest and .venv-newest; PYTHON=python3.13 chooses the interpreter.
 # make test-kernels: run the tests that train under each of torch's kernels that this processor has, with three
 #             seeds and a margin of two.
-# make test-trials: run the whole trials that the default run leaves out, see CONTRIBUTING.md.
 # make wheel: build wheel and source distribution into dist/ and check them.
 # make live: build the live web page, which needs Node.js 20; NPM_ARGS= also fetches what its tests need.
 # make tables: write the tables of the docs that come from the code.
@@ -18,7 +19,7 @@ NPM_ARGS ?= --omit=dev
 PIP_ARGS ?= --no-compile
 BIN := $(VENV)/bin
 
-.PHONY: grasp test test-lowest test-newest test-kernels test-trials lint wheel live docs tables pictures clean
+.PHONY: grasp test test-lowest test-newest test-all test-kernels lint wheel live docs tables pictures clean
 
 grasp: $(VENV)/installed
 	$(BIN)/python scripts/simulate_grasp.py $(ARGS)
@@ -37,8 +38,8 @@ test-newest:
 test-kernels: $(VENV)/installed-test
 	$(BIN)/python tests/kernels.py
 
-test-trials:
-	$(MAKE) test ARGS="-m trial $(ARGS)"
+test-all:
+	$(MAKE) test ARGS="-m '' $(ARGS)"
 
 live:
 	@command -v npm >/dev/null || { echo "make live needs Node.js 20 or newer, with npm"; exit 1; }

@@ -220,7 +220,6 @@ def tiny_work(light_desk, play, light_benchmark):
     console.quiet = False
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("chain", CHAINS)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_commands_run(chain, tiny_work, capsys):
@@ -245,7 +244,6 @@ def test_commands_run(chain, tiny_work, capsys):
             assert all(Path(path).exists() for path in inputs if isinstance(path, Path))
 
 
-@pytest.mark.slow
 def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, monkeypatch):
     """They can be exported; an interrupted first trial leaves an earlier run, and a whole one replaces it."""
 
@@ -375,6 +373,7 @@ def test_tables_in_the_pages_are_those_of_the_code():
     assert cogapp.Cog().main(["cog", *options, *pages]) == 0
 
 
+@pytest.mark.slow
 def test_the_site_builds_and_asks_no_other_host(tmp_path):
     """`mkdocs build --strict`: no dead link, no orphan page; no script, style or font from elsewhere."""
     pytest.importorskip("mkdocs", reason="the docs extra is not installed")
@@ -391,6 +390,7 @@ def test_the_site_builds_and_asks_no_other_host(tmp_path):
         assert not fetched, page
 
 
+@pytest.mark.slow
 def test_the_tutorial_runs(tmp_path, monkeypatch):
     """Its cells in an empty folder, and thus with a synthetic recording: the person holds the cylinder."""
     notebook = json.loads((ROOT / "docs" / "tutorials" / "webcam-to-grasp.ipynb").read_text("utf-8"))

@@ -408,8 +408,7 @@ def wait_for_text(folder: Path, name: str, text: str) -> None:
     wait_for(poll, PATIENCE_S, lambda: f"{name}: no '{text}' in: {(folder / f'{name}.log').read_text()}")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("robot", ["zmq", "lcm"])
+@pytest.mark.parametrize("robot", ["zmq", pytest.param("lcm", marks=pytest.mark.slow)])
 def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
     """A robot follows a glove; the glove dies, the hand relaxes; Ctrl-C leaves the robot held."""
     address = f"zmq+ipc://{tmp_path}/robot"

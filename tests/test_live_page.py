@@ -118,6 +118,7 @@ def filmed(playwright, browser, address, tmp_path_factory):
     return messages, joints[[numbers[message["t"]] for message in messages]]
 
 
+@pytest.mark.slow
 def test_camera_sees_the_rendered_bones(filmed):
     messages, joints = filmed
     errors = []
@@ -130,6 +131,7 @@ def test_camera_sees_the_rendered_bones(filmed):
     assert np.quantile(errors, 0.9) < 35
 
 
+@pytest.mark.slow
 def test_the_robot_pinches_when_the_film_does(filmed, allegro):
     messages, joints = filmed
     retarget = METHODS["dexpilot"].fit(allegro)
@@ -173,6 +175,7 @@ def test_headset_sends_the_robots_side_in_order(headset, stub, address, rng):
     np.testing.assert_allclose(stub.of("headset")[-1]["joints"], right, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_headset_can_be_used_before_the_server_answers(headset, stub, address, rng):
     stub.silent = True
     page = headset(address, {"right": rng.uniform(-1, 1, (25, 3)).tolist()})
@@ -207,7 +210,6 @@ def test_a_real_robot_is_engaged_after_a_question(headset, stub, address, rng):
 
 
 @pytest.mark.slow
-@pytest.mark.trial
 def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     """Page, server, diagram and physics: the command, a headset in the page, and the page's own messages.
 
@@ -248,6 +250,7 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
     assert report["glove"]["refused"] == 0
 
 
+@pytest.mark.slow
 def test_the_end_of_a_task_offers_a_clip_of_the_attempt(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key")
     page.wait_for_selector("body[data-state=waiting]")
@@ -284,6 +287,7 @@ def test_a_simulated_person_is_watched_without_a_camera(browser, stub, address):
     until(page, lambda: stub.of("hello")[-1]["device"] != "simulated")
 
 
+@pytest.mark.slow
 def test_the_view_shows_where_bodies_are(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key")
     page.wait_for_selector("body[data-state=waiting]")

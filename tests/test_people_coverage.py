@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from shared import shared
 
 from geort_drake import Recording
 from geort_drake.cli import run_command
@@ -18,10 +19,15 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.protocol import DURATION_S, STEPS, demonstrate
 
 
+@shared
+def demonstration():
+    return demonstrate(0, rate_hz=30.0)
+
+
 @pytest.fixture(scope="module")
 def shown():
     """The demonstration at a low rate, and the step of each frame."""
-    return demonstrate(0, rate_hz=30.0)
+    return demonstration()
 
 
 def during(shown, *names) -> Recording:
@@ -55,6 +61,7 @@ def test_each_step_contains_its_motion(shown, finger):
         assert [motion.name for motion in rest if not motion.enough] in ([], [name])
 
 
+@pytest.mark.slow
 def test_missing_motions_are_reported(shown):
     """A finger that never spreads, and pinches that were not made; bending is not taken for abduction."""
     hand = HumanHand.anatomical()

@@ -73,6 +73,7 @@ def test_the_cylinder_is_lifted_through_a_known_map():
     assert set(again) == common | set(result.metrics)
 
 
+@pytest.mark.slow
 def test_the_gloves_recording_played_again_grasps_again(tmp_path):
     """Saved, loaded and replayed, the operator's hand and wrist lift the object at the same time."""
     result, glove = lifted()
@@ -86,7 +87,7 @@ def test_the_gloves_recording_played_again_grasps_again(tmp_path):
     np.testing.assert_allclose(glove_again.p_HK[:count], glove.p_HK[:count], atol=1e-6)
 
 
-@pytest.mark.trial
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["block_tiny", "bottle"])
 def test_objects_are_lifted_by_the_other_grips(name):
     result, _ = lifted(name)
@@ -234,6 +235,7 @@ def test_dropouts_have_their_rate_and_their_duration():
     assert np.median(np.flatnonzero(np.diff(lost.astype(int)) == -1)[: len(starts)] - starts) == 40
 
 
+@pytest.mark.slow
 def test_the_object_is_lifted_with_every_fault_at_once():
     """A person corrects what they see."""
     faults = "{misalignment: 0.1, shift: 0.005, turn: 0.05, dropout_rate: 1.0}"
