@@ -127,10 +127,10 @@ def commands_help() -> str:
 
 def commands() -> list[tuple[str, str, str]]:
     """Name, summary and help of every subcommand, in the order of `geort-drake --help`."""
-    from geort_drake.cli import COMMANDS, description_of, help_of
+    from geort_drake.cli import COMMANDS, help_of, summary_of
 
     with mock.patch.dict(os.environ, COLUMNS="100"):  # the width of the help
-        return [(name, description_of(name).splitlines()[0], help_of(name)) for name in COMMANDS]
+        return [(name, summary_of(name), help_of(name)) for name in COMMANDS]
 
 
 def protocol_table() -> str:

@@ -276,7 +276,7 @@ def test_a_simulated_person_is_watched_without_a_camera(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key", NO_PICTURES)
     page.click("#simulated")
     until(page, lambda: stub.of("hello")[-1]["device"] == "simulated")
-    page.wait_for_selector("#headline:has-text('gets ready')")
+    page.wait_for_selector("#headline:has-text('is getting ready')")
     stub.send(simulated_person=True, scene=2)
     page.wait_for_selector("#headline:has-text('A simulated person moves the robot')")
     outcome = {"phase": "done", "score": 1.0, "seconds": 2.0, "over": True, "success": True}

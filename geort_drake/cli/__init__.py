@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(
             f"error: the package '{package}' is not installed; commands need all dependencies:"
-            " pip install geort-drake. A map in a program needs NumPy and safetensors alone.",
+            " pip install geort-drake. To call a map in a program, you need only NumPy and safetensors.",
             file=sys.stderr,
         )
         return 2
@@ -168,6 +168,11 @@ def description_of(name: str) -> str:
     return "\n\n".join(text if "\n  " in f"\n{text}" else textwrap.fill(text, 88) for text in paragraphs)
 
 
+def summary_of(name: str) -> str:
+    """Returns the first sentence of a subcommand's help, on one line however long it is."""
+    return " ".join((inspect.getdoc(load_command(name)) or "").partition("\n\n")[0].split())
+
+
 def help_of(name: str) -> str:
     """Returns the whole help of a subcommand."""
     import io
@@ -184,7 +189,5 @@ def _overview(names: Sequence[str] = ()) -> str:
         group_names = {name for name in group if not names or name in names}
         if group_names:
             lines += ["", f"{purpose}:"]
-            lines += [
-                f"  {name:22} {description_of(name).splitlines()[0]}" for name in group if name in group_names
-            ]
+            lines += [f"  {name:22} {summary_of(name)}" for name in group if name in group_names]
     return "\n".join(lines)

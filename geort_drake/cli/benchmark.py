@@ -40,11 +40,12 @@ _TASKS = arg(metavar="NAME ...", help=f"tasks: {', '.join(task_names())} (defaul
 
 @options
 class Benchmark(Command, ScenarioOptions):
-    """Compare retargeting methods by tasks in simulation, such as grasps.
+    """Compare retargeting methods by what simulated people do through them, such as grasps.
 
-    Every method does every task with the same objects, people and seeds: the same placements and noise. The
-    same command resumes an interrupted benchmark, and adds methods, objects, people and trials to a finished
-    one. It writes trials.jsonl (one row per finished trial) and report.md to --output.
+    Simulated people do every task through every method, with the same objects, people and seeds, and thus
+    with the same placements and noise. The same command resumes an interrupted benchmark, and adds methods,
+    objects, people and trials to a finished one. It writes trials.jsonl (one row per finished trial) and
+    report.md to --output.
 
     Exit codes: 0 success; 1 a trial raised an error; 2 the input is invalid.
     """
@@ -235,9 +236,10 @@ class Benchmark(Command, ScenarioOptions):
             for (task, kind, condition), figures in written.tables.items()
             for row in figures.to_dict("records")
         ]  # fmt: skip
-        headings = ("task", "person", "method", "trials", "success, %", "time, s", "to first")
+        headings = ("task", "person", "method", "trials", "success, %", "time, s", "difference")
         caption = (
-            "with 95 % intervals; time: failures count as the timeout; to first: success minus the first's"
+            "with 95 % intervals; time: a failure counts as the timeout; difference: success minus that of "
+            "the first method"
         )
         print_table(headings, rows, "Benchmark", caption, text=("person", "method"))
         if written.errors:

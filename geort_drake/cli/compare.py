@@ -26,7 +26,7 @@ from geort_drake.cli.base import (
 
 @options
 class Evaluate(Command):
-    """Compare retargeting methods by metrics on recordings of hands.
+    """Compare retargeting methods by how well they follow recorded hands.
 
       geort-drake evaluate --recording alex.npy --methods geort anyteleop --json table.json
 
@@ -36,13 +36,13 @@ class Evaluate(Command):
                        others, except for one second on either side of the block
       another person   --score-on FILE ...: train on --recording, score on the other files
 
-    K blocks need K more trainings per seed. Trainings are cached, so the same command resumes an interrupted
-    run; only the scoring is repeated. --json is rewritten after each method. A map is scored by the protocols
-    that fit its training.
+    K blocks need K more trainings per seed. Trainings are cached, so that the same command resumes an
+    interrupted run and only repeats the scoring. --json is rewritten after each method. A map is scored by
+    the protocols that fit its training.
 
     Online methods start from rest in every recording and block, and process the frames in order. For metrics
-    on unrecorded hands, they start at the nearest frame, and get the same hand until their output has
-    settled.
+    on hands that were not recorded, they start at the nearest frame, and get the same hand until their output
+    has settled.
 
     Exit codes: 0 success; 1 a method could not be scored; 2 the input is invalid.
     """
@@ -118,9 +118,9 @@ class Explore(Command):
       geort-drake explore --recording alex.npy --methods universal geort --output explore.rrd
       rerun explore.rrd
 
-    The recording shows the human hand, the robot hand with each method, the losses over time, closed and
-    missed pinches, and collisions. Methods that need training are trained on the whole recording and cached.
-    The universal map is measured from the recording's first second.
+    The Rerun recording shows the human hand, the robot hand with each method, closed and missed pinches,
+    collisions, and plots of motion, pinches and posture over time. Methods that need training are trained on
+    the whole recording, and cached. The universal map measures the person in the recording's first second.
     """
 
     recording: Annotated[Path | None, arg(metavar="FILE")] = None

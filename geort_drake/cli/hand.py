@@ -119,7 +119,7 @@ class AddHand(Command):
 class ListHands(Command):
     """List the hands that are known by name, their universal maps, and how to get their models.
 
-    A map needs no model; training, evaluation and simulation do.
+    You need no model to use a map, but you do for training, evaluation and simulation.
     """
 
     json: Json = None

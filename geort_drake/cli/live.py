@@ -24,19 +24,19 @@ from geort_drake.errors import OutputError, UsageError
 
 @options
 class Live(Command, ScenarioOptions):
-    """Drive a robot or its simulation with your hand in a browser, a glove, or a recording.
+    """Drive a robot or its simulation with your hand: by webcam, headset, glove or recording.
 
-    Without options, a page in the browser takes your hand from the camera or a headset and shows the
-    simulation.
+    Without options, the command opens a page in the browser, which tracks your hand with the camera or a
+    headset, and shows the simulation.
 
     SOURCE is web, a recording's file, or an address: sub+tcp://127.0.0.1:5556 (ZeroMQ, from `geort-drake live
     publish` or a MANUS bridge that publishes), or pull+tcp://127.0.0.1:8000 (from a bridge that pushes).
     TARGET is simulation, zmq+tcp://127.0.0.1:5557 (joint targets of any hand, for a driver), lcm, or lcm+URL
     (an Allegro hand and a Panda arm).
 
-    On the page, or with Enter, you engage and disengage. Ctrl-C stops; the robot holds its position. Messages
-    over ZeroMQ and LCM are neither signed nor encrypted: whoever can send them moves the robot. The page asks
-    for the key in its address.
+    You engage and disengage on the page or, with a glove, by Enter. Ctrl-C stops the command; the robot then
+    holds its position. Messages over ZeroMQ and LCM are neither signed nor encrypted: whoever can send them
+    moves the robot. The page is protected by the key in its address.
     """
 
     glove: Annotated[str, arg(metavar="SOURCE")] = "web"
@@ -44,8 +44,8 @@ class Live(Command, ScenarioOptions):
     robot: Annotated[str, arg(metavar="TARGET")] = "simulation"
     """robot or simulation to drive"""
     retargeter: Annotated[str | None, arg(metavar="NAME")] = None
-    """method listed above, map or Python file (default: the hand's universal map; without one, a map trained
-    on synthetic play; if the cache has none, training it takes minutes before anything moves)"""
+    """method listed above, map or Python file (default: the hand's universal map; if it has none, a map that
+    is first trained on synthetic play, which takes minutes unless the cache has it)"""
     glove_id: Annotated[str | None, arg(metavar="ID")] = None
     """serial number of the MANUS glove, if a bridge sends several"""
     engage: Literal["key", "now"] = "key"

@@ -191,7 +191,7 @@ class ConvertRecording(_Reading):
 
 @options
 class SynthesizeRecording(Command):
-    """Make synthetic recordings of hand motion.
+    """Generate recordings of hand motion, without a person or device.
 
     By default, the command makes one recording of an average adult's hand. With --people, it makes one
     recording for each of several people with different hands, habits and devices.

@@ -46,12 +46,12 @@ _OBJECTS = (
 
 @options
 class Grasp(Command, ScenarioOptions):
-    """Grasp objects in simulation.
+    """Let a simulated person grasp objects with a robot hand.
 
-    Without arguments, a simulated person grasps three objects with a Panda and an Allegro hand, through the
-    universal map, and a table shows the outcomes. A method that needs training is first trained on the
-    person's hand motion. The output folder gets results.json, the scenario, and for each trial a Rerun
-    recording (.rrd) and the glove and tracker data (.npz), which replace those of an earlier run.
+    Without arguments, the person grasps three objects with a Panda and an Allegro hand, through the universal
+    map, and a table shows the outcomes. A method that needs training is first trained on the person's hand
+    motion. The output folder gets results.json, the scenario, and for each trial a Rerun recording (.rrd) and
+    the motion of the person's hand and wrist (.npz). They replace the files of an earlier run.
     """
 
     output: Annotated[Path, arg(metavar="DIR")] = Path("runs/grasp")
@@ -177,10 +177,10 @@ class Grasp(Command, ScenarioOptions):
         grasps = all(result.task == "grasp" for result in results)
         rows = [_row(result) for result in results]
         print_table(
-            ("object", "seed", "outcome", "hold at", "attempts", "height", "force", "speed"),
+            ("object", "seed", "outcome", "held from", "attempts", "height", "force", "speed"),
             rows,
             title="Grasps" if grasps else "Trials",
-            caption="hold at: when the successful hold began; height, force: peak; speed: times real time",
+            caption="held from: start of the successful hold; height, force: largest; speed: times real time",
             text=("outcome",),
         )
         successes = sum(result.success for result in results)
@@ -248,9 +248,10 @@ class Grasp(Command, ScenarioOptions):
 
 @options
 class Simulate(Grasp):
-    """Simulate trials of a task.
+    """Let a simulated person do any task with a robot hand.
 
-    Like `geort-drake grasp`, for any task of the benchmark and any kind of simulated person.
+    The command does what `geort-drake grasp` does, for any task of the benchmark and any kind of simulated
+    person.
     """
 
     task: Annotated[str, arg(metavar="NAME", help=f"one of {', '.join(task_names())}")] = "grasp"

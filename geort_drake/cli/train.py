@@ -40,14 +40,14 @@ class Train(Command):
       geort-drake train --hand my_hand.yaml --universal --output my_hand.safetensors
       geort-drake train --universal --hands wuji_right shadow_right --output maps
 
-    In the five minutes of a recording, the person should move every finger to its limits and pinch each with
-    the thumb. geort_drake.load_retargeter(FILE) loads the map.
+    A recording should have five minutes in which the person moves every finger to its limits, and pinches
+    each with the thumb. In a program, geort_drake.load_retargeter(FILE) loads the map.
 
-    --universal trains the map of the method universal, which serves every person, in a quarter of an hour on
-    one core; the same command resumes it, also of several hands. A second training refines the first.
-    If a hand of the same name with the other side is known and is the mirror image, its map is written beside
-    FILE. The same seed gives the same weights bit for bit, with the same package versions and the same kind
-    of processor.
+    --universal trains a universal map, which serves every person, in a quarter of an hour on one core. If the
+    training is interrupted, the same command resumes it. A first training is followed by a second one, which
+    refines the map. If the hand of the other side is known by name and is the mirror image, its map is
+    written beside FILE. The same seed gives the same weights bit for bit, with the same package versions and
+    the same kind of processor.
 
     Exit codes: 0 success; 2 the input is invalid or the loss is not finite, and nothing was written.
     """

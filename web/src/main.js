@@ -222,7 +222,7 @@ navigator.permissions
 headsetMode().then((mode) => {
   element("headset").hidden = mode === null;
   if (mode === null)
-    element("no-headset").textContent = navigator.xr ? "No headset found." : "This browser supports no headset.";
+    element("no-headset").textContent = navigator.xr ? "No headset found." : "This browser does not support headsets.";
   element("headset").onclick = () => use("headset", () => headset.start(mode, () => model.welcome?.side));
 });
 

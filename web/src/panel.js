@@ -7,7 +7,7 @@ const STEPS = { grasp: ["reach", "touch", "grasp", "lift", "hold"] };
 const END = { thrown: "Thrown" };
 const DEVICE_WORDS = {
   headset: "The robot is in your headset.",
-  recording: "A recorded hand moves; without one, a synthetic hand at play.",
+  recording: "A recorded hand moves or, if there is none, a synthetic one.",
   simulated: "A simulated person does the task, as in geort-drake grasp.",
 };
 // A screen that only fingers touch, such as a phone's.

@@ -31,7 +31,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
       ? say("waiting", "Nobody has the controls", "Take them to move the robot.")
       : say("waiting", "You are watching", "Another page has the controls.");
   if (device === "simulated") return watched(state, leaving);
-  if (leaving !== null) return say("waiting", "Setting up", "The robot holds until the new scene is there.");
+  if (leaving !== null) return say("waiting", "Setting up", "The robot holds until the new scene is ready.");
   const virtual = device === "pointer" || device === "recording";
   const wrong = hand.seen && hand.side !== side;
   const seen = hand.seen && !wrong;
@@ -42,7 +42,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
       : say(engaged ? "engaged" : "tracking", "Not this time", "Press Reset to try again.");
   if (engaged && !seen) return say("lost", "Hand lost", `The robot holds until it sees your ${side} hand again.`);
   if (engaged && !following && state.slow) return say("engaged", "The robot waits", SLOW);
-  if (engaged && state.fist > 0) return say("engaged", "Keep the fist to stop", "The robot holds when the ring is full.");
+  if (engaged && state.fist > 0) return say("engaged", "Keep your fist closed to stop", "The robot holds when the ring is full.");
   if (engaged)
     return following
       ? say("engaged", "The robot follows your hand", refusal || (state.slow ? SLOW : plain(state.status)))
@@ -50,18 +50,18 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
   if (!device) return say("waiting", `Hold up your ${side} hand`, "Start the camera, or choose another way below it.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
-  if (!seen) return say("waiting", `Hold up your ${side} hand`, "The whole hand, with the palm to the camera.");
+  if (!seen) return say("waiting", `Hold up your ${side} hand`, "Show the whole hand, with the palm to the camera.");
   if (refusal) return say("tracking", "Not yet", refusal);
   if (welcome.robot === "real") return say("tracking", "Press Engage to take control", "The real robot will move.");
   if (virtual) return say("tracking", "Press Engage to begin", "The robot then copies the coloured hand.");
   return state?.fist > 0
-    ? say("tracking", "Keep the fist", "The robot follows when the ring is full.")
+    ? say("tracking", "Keep your fist closed", "The robot follows when the ring is full.")
     : say("tracking", "Hold a fist to take control", "Or press Engage. The robot moves as your hand does.");
 }
 
 function watched(state, leaving) {
   if (leaving !== null || !state?.simulated_person)
-    return say("waiting", "The simulated person gets ready", "Planning and practice take up to half a minute the first time, and longer on a busy computer.");
+    return say("waiting", "The simulated person is getting ready", "Planning and practice take up to half a minute the first time, and longer on a busy computer.");
   const { over, success } = state.outcome;
   if (over) return say("tracking", success ? "Done" : "Not this time", "Watch another, or move the robot yourself.");
   return say("engaged", "A simulated person moves the robot", state.slow ? SLOW : "The coloured hand is theirs.");
@@ -77,10 +77,10 @@ const PLAIN = [
   ["tracking", "Move your hand; the robot copies it."],
   ["limited", "Move your hand; the robot copies it."],
   ["unusual", "Move your hand; the robot copies it."],
-  ["outside", "Your fingers are where the robot's cannot follow exactly."],
+  ["outside", "Your fingers are where the robot's cannot follow them exactly."],
   ["easing", "The robot catches up with your hand."],
   ["returning", "The robot comes back to your hand."],
-  ["relaxing", "Your hand was away for long, so the robot's hand opens. Show your hand again."],
+  ["relaxing", "Your hand was away for a long time, so the robot hand opens. Show your hand again."],
   ["arm held", "The arm waits: your wrist moved too fast. Move it calmly."],
   ["arm", "The arm waits until your wrist moves calmly."],
   ["frozen", "The pictures do not change. Is the camera covered or stopped?"],
@@ -89,7 +89,7 @@ const PLAIN = [
   ["held: the hand is another person's", "This is another person's hand. Release the controls and engage again."],
   ["held: a keypoint", "Your hand moved too fast, or was not seen well. Move it calmly, with the palm to the camera."],
   ["held: the glove's frames come late", SLOW],
-  ["held: no newer", "No pictures come. Show your hand again."],
+  ["held: no newer", "No pictures arrive. Show your hand again."],
   ["held: the glove lost", "Your hand is not seen. Show it again."],
   ["disengaged", "Press Engage when you are ready."],
 ];
@@ -110,7 +110,7 @@ export function quality({ hand, state, device }) {
   const value = hand.score * Math.min(hand.rate / 25, 1);
   if (state?.slow) return { value: Math.min(value, 0.4), words: "Hand seen, but this computer is too slow" };
   if (state?.engaged && !state.following) return { value: Math.min(value, 0.7), words: "Hand seen; the robot waits" };
-  const advice = value > 0.8 ? "" : hand.rate < 20 ? ": few pictures a second" : ": more light helps";
+  const advice = value > 0.8 ? "" : hand.rate < 20 ? ", but only few pictures a second" : "; more light would help";
   return { value, words: `Hand seen${value > 0.8 ? " well" : advice}` };
 }
 
