@@ -53,7 +53,8 @@ def test_the_overview_lists_every_command_in_a_line(capsys):
     assert main([]) == main(["--help"]) == main(["help"]) == 0
     lines = capsys.readouterr().out.splitlines()
     for name in COMMANDS:
-        assert sum(line.startswith(f"  {name:22} ") for line in lines) == 3
+        told = [line for line in lines if line.startswith(f"  {name:22} ")]
+        assert len(told) == 3 and all(line.endswith(".") for line in told)  # whole sentences
     assert all(len(line) < 120 for line in lines)
 
 
