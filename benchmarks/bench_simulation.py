@@ -6,7 +6,7 @@ Several copies of the same trial are simulated in turns of a quarter of a simula
 time of the thread, for each turn and in total. Rows:
   everything on   arm, hand, object, contact, operator, retargeting, inverse kinematics, monitor, recording
   no recording    the same without the Rerun recorder; the reference of the ratios
-  1 ms            everything on at half the time step, which changes the course of the trial
+  half the step   everything on at half the time step, which changes the course of the trial
   replay          the recorded motion of hand and wrist in place of the simulated person, at both steps
   robot alone     the trial's joint targets from a Drake source, without any system in Python
 Shares are from another simulation in which each Python system is timed without its calls of other systems and
@@ -49,9 +49,8 @@ from geort_drake.simulation.trial import run_trial
 from geort_drake.simulation.world import ARM, HAND, add_scene
 
 TURN = 0.25  # simulated s
-RECORDED, PLAIN, FINER = "everything on", "no recording", "everything on, 1 ms"
-REPLAYED, REPLAYED_FINER, ROBOT = "replay", "replay, 1 ms", "robot alone"
-FINE = 0.001  # s
+RECORDED, PLAIN, FINER = "everything on", "no recording", "everything on, half the step"
+REPLAYED, REPLAYED_FINER, ROBOT = "replay", "replay, half the step", "robot alone"
 MODELS = (ARM, HAND)
 
 
@@ -67,15 +66,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.add_argument("--json", type=Path, help="write the figures to this file")
     arguments = parse(options, argv)
     make = Maker(arguments.object, arguments.retargeter)
+    fine = Scenario().plant_config.time_step / 2
     with tempfile.TemporaryDirectory() as folder:
         paths = (Path(folder) / f"{number}.rrd" for number in itertools.count())
         session = make.session()
         trials: dict[str, Trial | RobotAlone] = {
             RECORDED: make(rerun_path=next(paths)),
             PLAIN: make(),
-            FINER: make(FINE, next(paths)),
+            FINER: make(fine, next(paths)),
             REPLAYED: make(rerun_path=next(paths), session=session),
-            REPLAYED_FINER: make(FINE, next(paths), session),
+            REPLAYED_FINER: make(fine, next(paths), session),
             ROBOT: make.robot_alone(),
         }
         _advance(trials, arguments.seconds)
@@ -157,7 +157,7 @@ class Maker:
         self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plans(2)[0]
 
     def __call__(
-        self, step: float = 0.002, rerun_path: Path | None = None, session: Recording | None = None
+        self, step: float | None = None, rerun_path: Path | None = None, session: Recording | None = None
     ) -> Trial:
         human = session or self._human
         return Trial(make_trial_diagram(_scenario(self._object, step), self._retarget, human, rerun_path))
@@ -187,8 +187,9 @@ class Maker:
         return RobotAlone(_scenario(self._object), t, targets)
 
 
-def _scenario(name: str, step: float = 0.002) -> Scenario:
-    return load_scenario(text=f"{{object: {{name: {name}}}, plant_config: {{time_step: {step}}}}}")
+def _scenario(name: str, step: float | None = None) -> Scenario:
+    plant_config = "" if step is None else f", plant_config: {{time_step: {step}}}"
+    return load_scenario(text=f"{{object: {{name: {name}}}{plant_config}}}")
 
 
 def _shares(kinds: set[type], make: Callable[[], Trial], seconds: float) -> dict[str, float]:

@@ -65,9 +65,9 @@ def test_the_retargeting_has_the_scenarios_latency_and_speed():
     context = parts.retargeting.GetMyContextFromRoot(simulator.get_context())
     port = parts.retargeting.GetOutputPort("desired_state")
     rest = port.Eval(context).copy()
-    simulator.AdvanceTo(0.0139)
+    simulator.AdvanceTo(0.0149)
     np.testing.assert_array_equal(port.Eval(context), rest)
-    simulator.AdvanceTo(0.0141)
+    simulator.AdvanceTo(0.0151)
     moved = np.abs(port.Eval(context) - rest)[:16].max()
     assert moved == pytest.approx(0.5 * parts.retargeting.period, rel=1e-6)
 

@@ -362,3 +362,24 @@ def test_the_scripted_robot_holds_objects(name, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "studies")
     robot = importlib.import_module("scripted.grasp")
     assert robot.scripted(scenario_with(name), planned_goal(name), 0) == 1.0
+
+
+@pytest.mark.slow
+def test_a_fifth_of_the_time_step_lifts_a_pinched_block_to_the_same_pose(monkeypatch):
+    """A scripted robot sees no difference between 5 and 1 ms: a pinched block hangs as far and as turned."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "studies")
+    scripts = importlib.import_module("scripted.oracle")
+    lifted = []
+    for step in (None, 0.001):
+        scenario = load_scenario(task="pick_place", text="{object: {name: block_20}}")
+        if step is not None:
+            scenario.plant_config.time_step = step
+        robot = scripts.oracle(scenario.hand)
+        goal = find_task("pick_place").plans(scenario, robot.description)[0]
+        recording = scripts.script(scenario, robot, goal, squeeze=0.012)
+        scenario.timeout = float(recording.t[-1]) - scripts.HOLDING
+        result, _ = run_trial(scenario, robot, recording)
+        lifted.append([result.metrics["place_error"], result.metrics["place_turn"]])
+    (error, turn), (finer_error, finer_turn) = lifted
+    assert error == pytest.approx(finer_error, abs=0.001)
+    assert turn == pytest.approx(finer_turn, abs=0.02)

@@ -121,7 +121,7 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
     from rerun_world import entities, read
 
     path = tmp_path / "trial.rrd"
-    scenario = scenario_with("cylinder", "{timeout: 0.5, retargeting: {latency: 0.004}}")
+    scenario = scenario_with("cylinder", "{timeout: 0.5, retargeting: {latency: 0.005}}")
     human = human_with()
     run_trial(scenario, centred_map(), human, path, {"method": "affine"})
     table = pq.read_table(path.with_suffix(".parquet"))
@@ -157,7 +157,7 @@ def test_the_recording_shows_what_fingertips_are_asked_for_and_how_hard_joints_w
     facts = {name: said(name) for name in ("method", "hand", "object", "seed", "retargeting_delay_ms")}
     assert facts == {
         "method": "affine", "hand": "allegro_right", "object": "cylinder", "seed": 0,
-        "retargeting_delay_ms": 4.0,
+        "retargeting_delay_ms": 5.0,
     }  # fmt: skip
     for package in ("geort_drake", "drake", "rerun", "numpy", "torch"):
         assert said(package)[0].isdigit()
