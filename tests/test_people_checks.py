@@ -13,13 +13,8 @@ from glove_files import FRAMES, moving
 
 from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import GeortError, MismatchError, RecordingError
-from geort_drake.people.checks import (
-    EXPECTED,
-    ORDERS,
-    fitting_order,
-    require_wrist_frame_hand,
-    training_faults,
-)
+from geort_drake.people.checks import EXPECTED, ORDERS, fitting_order, require_wrist_frame_hand
+from geort_drake.people.coverage import training_faults
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, mirrored, to_wrist_frame
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.population import sample_person

@@ -68,8 +68,7 @@ class _Reading(Command):
 
     def _check(self) -> "tuple[Recording, dict[str, Any]]":
         """Reads the recording, prints the report of its faults, and returns both."""
-        from geort_drake.people.checks import training_faults
-        from geort_drake.people.coverage import figures
+        from geort_drake.people.coverage import figures, training_faults
 
         name = str(self.input)
         try:

@@ -93,10 +93,10 @@ class Grasp(Command, ScenarioOptions):
         # Checks the whole request before anything is computed or written.
         require_output_folder(self.output, RESULTS)
         base, replay = self._request()
+        scenarios = self.scenarios_of(base, replay)
         hand = Hand(base.hand)
         method = self.retargeter or default_method(hand)
         names_of([method], hand)  # refuses an unusable one
-        scenarios = self.scenarios_of(base, replay)
         side = self.side or hand.description.side
         recording = training_recording(self.recording, side) if self.recording else None
 

@@ -10,7 +10,6 @@ from itertools import pairwise, permutations
 import numpy as np
 
 from geort_drake.errors import MismatchError, RecordingError, naming
-from geort_drake.people.coverage import pinch_distances
 from geort_drake.people.keypoints import (
     BONES,
     FINGER_KEYPOINTS,
@@ -21,7 +20,7 @@ from geort_drake.people.keypoints import (
     mirrored,
     to_wrist_frame,
 )
-from geort_drake.people.recording import PINCH_M, SIDES, Recording
+from geort_drake.people.recording import SIDES, Recording
 
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254, "dm": 0.1}
 # Orders of published data sets: the keypoint at each of the 21 positions in a file.
@@ -56,7 +55,6 @@ _MAX_LOST = 0.1  # a recording with a larger fraction of lost frames is refused
 _SPIKE_M = 0.02
 _GAP_S, _MISSING_FRACTION = 0.2, 0.05  # a glove at 118 Hz over radio loses 4 % of its frames
 _RATE_HZ = (2.0, 2000.0)  # plausible range
-_TRAINING_FRAMES = 300
 
 
 def examine(recording: Recording) -> Recording:
@@ -221,7 +219,8 @@ def mark_lost_frames(recording: Recording) -> tuple[Recording, list[str]]:
 
 def check_bones(recording: Recording) -> list[str]:
     """Refuses keypoints that coincide, and bones whose lengths change as those of 2-D landmarks do."""
-    length = bone_lengths(_finite(recording))
+    p_HK = _finite(recording)
+    length = bone_lengths(p_HK)
     median = np.median(length, axis=0)
     if median.min() < 1e-3:
         parent, child = BONES[int(np.argmin(median))]
@@ -234,21 +233,6 @@ def check_bones(recording: Recording) -> list[str]:
     if spread.max() > _UNUSABLE_SPREAD:
         raise RecordingError(f"{what}; over {_UNUSABLE_SPREAD:.0%} is unusable: give 3-D keypoints in m")
     return [f"{what}; a glove's change by less than {_NOISY_SPREAD:.0%}"]
-
-
-def training_faults(recording: Recording) -> list[str]:
-    """Returns sentences about what makes a recording unfit for training; none if it is fit."""
-    faults, valid = [], int(recording.valid.sum())
-    if valid < _TRAINING_FRAMES:
-        faults.append(
-            f"{valid} valid frames, training needs at least {_TRAINING_FRAMES}; record five minutes"
-        )
-    if all(distance.min() >= PINCH_M for distance in pinch_distances(recording).values()):
-        faults.append(
-            f"the thumb never comes within {1e3 * PINCH_M:.0f} mm of a finger (p_HK); pinch each finger a "
-            "few times while recording"
-        )
-    return faults
 
 
 def bent_side(p_WK: np.ndarray, side: str) -> str:

@@ -22,6 +22,7 @@ _THUMB_MOTIONS = {
 }
 # Required pinches per finger. People who are asked to pinch do so more than ten times in five minutes.
 PINCHES = 5
+_TRAINING_FRAMES = 300
 _RELEASE_M = 1.5 * PINCH_M  # a pinch ends at this distance; the hysteresis ignores jitter
 _RIDGE = 0.01  # of the ridge regression; the mean square of a bending bone's coordinate exceeds 0.1
 
@@ -56,6 +57,21 @@ def coverage(recording: Recording) -> list[Motion]:
         advice = f"pinch thumb and {finger} at different places"
         motions.append(Motion(f"thumb pinches {finger}", pinches(distance), PINCHES, "times", advice))
     return motions
+
+
+def training_faults(recording: Recording) -> list[str]:
+    """Returns sentences about what makes a recording unfit for training; none if it is fit."""
+    faults, valid = [], int(recording.valid.sum())
+    if valid < _TRAINING_FRAMES:
+        faults.append(
+            f"{valid} valid frames, training needs at least {_TRAINING_FRAMES}; record five minutes"
+        )
+    if all(distance.min() >= PINCH_M for distance in pinch_distances(recording).values()):
+        faults.append(
+            f"the thumb never comes within {1e3 * PINCH_M:.0f} mm of a finger (p_HK); pinch each finger a "
+            "few times while recording"
+        )
+    return faults
 
 
 def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOINT.values())) -> list[Motion]:

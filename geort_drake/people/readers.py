@@ -12,13 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.errors import RecordingError, UnknownNameError, naming
-from geort_drake.people.checks import (
-    UNITS_M,
-    examine,
-    require_side,
-    require_wrist_frame_hand,
-    training_faults,
-)
+from geort_drake.people.checks import UNITS_M, examine, require_side, require_wrist_frame_hand
+from geort_drake.people.coverage import training_faults
 from geort_drake.people.formats import FORMATS, load
 from geort_drake.people.recording import SIDES, Recording
 
@@ -64,31 +59,33 @@ def read_recording(
             raise UnknownNameError(kind, name, names[kind])
     contents = load(path)
     with naming(path, RecordingError):
-        is_own = isinstance(contents, dict) and "p_HK" in contents
-        if (is_own and format == AUTO) or format == OWN:
-            recording = _read_own(contents, side, unit)
+        is_own = format == OWN or (format == AUTO and isinstance(contents, dict) and "p_HK" in contents)
+        if is_own:
+            recording = _read_own(contents, unit)
         else:
             recording = _read_foreign(path, contents, side, format, unit, rate_hz)
+        require_side(recording.side, side)
+        if is_own and recording.valid.any():  # of other files, the wrist frame is computed here
+            require_wrist_frame_hand(recording.p_HK[recording.valid], "p_HK")
         recording = examine(recording)
         if training and (faults := training_faults(recording)):
             raise RecordingError("; ".join(faults))
     return recording
 
 
-def _read_own(contents: dict, side: str, unit: str | None) -> Recording:
+def _read_own(contents: dict, unit: str | None) -> Recording:
     if unit not in (None, "m"):
         raise RecordingError(f"geort-drake's own files are in metres, not in {unit}")
-    recording = Recording.from_arrays(contents)
-    require_side(recording.side, side)
-    if recording.valid.any():
-        require_wrist_frame_hand(recording.p_HK[recording.valid], "p_HK")
-    return recording
+    return Recording.from_arrays(contents)
 
 
 def _read_foreign(
     path: Path, contents: object, side: str, format: str, unit: str | None, rate_hz: float | None
 ) -> Recording:
-    """Returns a recording in another format than the package's own, unchecked."""
+    """Returns a recording in another format than the package's own, unchecked.
+
+    It is of the side that the file states, if it states one.
+    """
     suffix = path.suffix.lower()
     if format == AUTO:
         fitting = [
@@ -106,8 +103,6 @@ def _read_foreign(
     if suffix not in FORMATS[format].suffixes:
         raise RecordingError(f"'{format}' is read from {', '.join(FORMATS[format].suffixes)}, not '{suffix}'")
     track = FORMATS[format].read(contents, side)
-    if track.side is not None:
-        require_side(track.side, side)
     unit = unit or track.unit
     warnings = list(track.remarks)
     metadata: dict = {"source": path.name, "format": format, "unit": unit}
@@ -143,7 +138,7 @@ def _read_foreign(
         )
         if lost.sum() > _MAX_UNTIMED * len(lost):
             raise RecordingError(f"{warnings[-1]}; at most one in ten may be lost")
-    recording = Recording.from_keypoints(p_WK, t, side, track.in_world)
+    recording = Recording.from_keypoints(p_WK, t, track.side or side, track.in_world)
     rate_known = track.t is not None or rate_hz is not None
     metadata |= {**recording.metadata, "rate_known": rate_known, "warnings": warnings}
     return dataclasses.replace(recording, metadata=metadata)
