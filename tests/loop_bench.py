@@ -45,17 +45,17 @@ class LoopBench:
         self.scenario.random_seed = seed
         description = load_hand(self.scenario.hand)
         self.model = RobotModel(self.scenario, description)
-        robot = SimulatedRobot(self.scenario, description, self.model)
-        self.recorder = GloveRecorder(0.01, robot=robot_joints(description, self.model) if real else None)
+        robot = SimulatedRobot(self.scenario, self.model)
+        start = self.model.hand.start, self.model.arm.start
+        self.recorder = GloveRecorder(0.01, robot=robot_joints(self.model) if real else None)
         self.loop = make_teleoperation(
-            self.scenario, description, self.model, retarget,
-            GloveStream(station, "right", clock=Clock()), robot, (robot.hand.start, robot.arm.start),
+            self.scenario, self.model, retarget, GloveStream(station, "right", clock=Clock()), robot, start,
             recorder=self.recorder,
         )  # fmt: skip
         self.simulator = Simulator(self.loop.diagram)
         self.context, self.engaged = self.simulator.get_mutable_context(), True
         self.engage(False)
-        self.watch = Watch(self.model.limits, self.scenario.retargeting.period, robot.hand.start)
+        self.watch = Watch(self.model.limits, self.scenario.retargeting.period, self.model.hand.start)
 
     def engage(self, engaged: bool) -> None:
         if engaged != self.engaged:

@@ -207,7 +207,7 @@ async def test_a_hundred_broken_connections_leave_the_server_serving():
 def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     scenario = load_scenario()
     description = load_hand(scenario.hand)
-    robot = SimulatedRobot(scenario, description, RobotModel(scenario, description))
+    robot = SimulatedRobot(scenario, RobotModel(scenario, description))
     plant, body = robot.stage.scene.plant, robot.stage.scene.body
     inspector = robot.stage.scene.scene_graph.model_inspector()
     scene = Scene(plant, inspector, description)

@@ -138,13 +138,12 @@ class Live(Command, ScenarioOptions):
             if receiver:
                 glove.handshake(self.timeout)
             if link is None:
-                robot = SimulatedRobot(scenario, description, model, open_meshcat() if self.meshcat else None)
-                start = robot.hand.start, robot.arm.start
+                robot = SimulatedRobot(scenario, model, open_meshcat() if self.meshcat else None)
+                start = model.hand.start, model.arm.start
             else:
                 robot, start = link, link.handshake(self.timeout)
             loop = make_teleoperation(
                 scenario,
-                description,
                 model,
                 retarget,
                 glove,

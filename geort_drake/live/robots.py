@@ -18,7 +18,7 @@ from pydrake.systems.framework import (
 )
 
 from geort_drake.errors import LiveError
-from geort_drake.hands.description import HandDescription, load_hand
+from geort_drake.hands.description import load_hand
 from geort_drake.live.glove_stream import POLL_PERIOD
 from geort_drake.live.joint_messages import MAX_HOLD_AFTER, Bus, JointState, JointTargets
 from geort_drake.live.robot_buses import open_bus
@@ -46,12 +46,10 @@ class SimulatedRobot:
 
     Attributes:
         diagram: the simulation; not a base class, as Drake never frees subclasses in Python (drake#24162).
-        hand, arm: the joints of each.
         stage: the task's stage.
 
     Args:
         scenario: task, arm and simulation settings.
-        description: the hand's description.
         model: the robot's model.
         meshcat: viewer that shows the scene, if any.
 
@@ -59,17 +57,11 @@ class SimulatedRobot:
         ScenarioError, HandError: scenario and models do not fit together.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        description: HandDescription,
-        model: RobotModel,
-        meshcat: Meshcat | None = None,
-    ):
+    def __init__(self, scenario: Scenario, model: RobotModel, meshcat: Meshcat | None = None):
         builder = DiagramBuilder()
         rng = np.random.default_rng(scenario.random_seed)
         task = find_task(scenario.task)
-        self.stage = task.add_stage(builder, scenario, description, None, model.X_WB, rng)
+        self.stage = task.add_stage(builder, scenario, model.description, None, model.X_WB, rng)
         scene = self.stage.scene
         plant, hand, arm = scene.plant, scene.hand, scene.arm
         for instance, name in ((hand, HAND), (arm, ARM)):
@@ -79,7 +71,6 @@ class SimulatedRobot:
             MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
         builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
         self.diagram = builder.Build()
-        self.hand, self.arm = JointGroup.of_plant(plant, hand), JointGroup.of_plant(plant, arm)
 
 
 def open_meshcat() -> Meshcat:
@@ -154,10 +145,9 @@ def make_stand_in(scenario: Scenario, address: str, meshcat: Meshcat | None = No
         LiveError: the address is malformed.
     """
     description = load_hand(scenario.hand)
-    builder = DiagramBuilder()
-    simulated = SimulatedRobot(scenario, description, robot_model(scenario, description), meshcat)
-    robot = builder.AddNamedSystem("robot", simulated.diagram)
-    groups = (simulated.hand, simulated.arm)
+    builder, model = DiagramBuilder(), robot_model(scenario, description)
+    robot = builder.AddNamedSystem("robot", SimulatedRobot(scenario, model, meshcat).diagram)
+    groups = (model.hand, model.arm)
     server = builder.AddNamedSystem(
         "server", JointServer(open_bus(address, description, driver=True), groups)
     )

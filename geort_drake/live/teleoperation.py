@@ -10,7 +10,6 @@ from typing import Any, ClassVar
 import numpy as np
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem, System
 
-from geort_drake.hands.description import HandDescription
 from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.watchdog import AFTER, EngageSwitch, Watchdog
@@ -159,7 +158,6 @@ def _eval(system: System, port: str, root: Context) -> Any:
 
 def make_teleoperation(
     scenario: Scenario,
-    description: HandDescription,
     model: RobotModel,
     retarget: Retarget,
     glove: LeafSystem,
@@ -172,7 +170,6 @@ def make_teleoperation(
 
     Args:
         scenario: settings of retargeting, correction and arm.
-        description: description of the robot's hand.
         model: model of the robot.
         retarget: a `Retargeter`, or a similar callable with `joint_names`.
         glove: `GloveStream`, or `GloveReplay`, which has no stamps.
@@ -190,7 +187,6 @@ def make_teleoperation(
     simulation = robot if isinstance(robot, SimulatedRobot) else None
     robot = builder.AddNamedSystem("robot", simulation.diagram if simulation else robot)
     q_hand, q_arm = start
-    settings = scenario.retargeting
 
     # The glove's frames count only while the person is engaged.
     switch = builder.AddNamedSystem("engage_switch", EngageSwitch())
@@ -200,9 +196,9 @@ def make_teleoperation(
     # Fingers.
     valid = switch.GetOutputPort("valid")
     retargeting, correction = add_fingers(
-        builder, scenario, description, model, retarget, q_hand, glove, valid, settings.latency, GloveChecks()
+        builder, scenario, model, retarget, q_hand, glove, valid, scenario.retargeting.latency, GloveChecks()
     )
-    safe_pose = [description.default_positions.get(name, 0.0) for name in model.hand.joints]
+    safe_pose = [model.description.default_positions.get(name, 0.0) for name in model.hand.joints]
     watchdog = builder.AddNamedSystem(
         "watchdog", Watchdog(model.limits, np.array(safe_pose), retargeting.period, relax_after)
     )
@@ -214,8 +210,8 @@ def make_teleoperation(
     builder.Connect(correction.GetOutputPort("desired_state"), robot.GetInputPort("hand_desired_state"))
 
     # The arm follows the wrist only while the fingers are followed and the wrist moves plausibly.
-    standing = model.standing_at(dict(zip(model.arm.joints, q_arm.tolist(), strict=True)))
-    wrist_to_arm, wrist = add_arm(builder, scenario, description, standing, glove, limit_acceleration=True)
+    arm_positions = dict(zip(model.arm.joints, q_arm.tolist(), strict=True))
+    wrist_to_arm, wrist = add_arm(builder, scenario, model, glove, arm_positions, limit_acceleration=True)
     wrist_checks = builder.AddNamedSystem("wrist_checks", WristChecks(scenario.wrist_to_arm.period))
     builder.Connect(wrist.GetOutputPort("wrist_pose"), wrist_checks.GetInputPort("wrist_pose"))
     builder.Connect(watchdog.GetOutputPort("following"), wrist_checks.GetInputPort("valid"))

@@ -16,7 +16,7 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 from pydrake.math import RigidTransform
-from rerun import LineStrips3D, Points3D
+from rerun import Points3D
 from scipy.spatial.transform import Rotation
 
 from geort_drake.colours import FINGER_COLOURS, Color, rgb
@@ -41,6 +41,9 @@ PALETTE: tuple[Color, ...] = tuple(
 )
 # One colour for all items, or for each row an array (k, 3 or 4) for its k items.
 Colors = Color | Sequence[np.ndarray]
+
+# For drawings in other packages, which do not import Rerun.
+LineStrips3D = rr.LineStrips3D
 
 _BONE_RADII = np.tile([0.007, 0.0085, 0.0075, 0.0065], 5)  # of an average hand, base to tip, m
 
@@ -155,10 +158,6 @@ class Writer:
             spheres = {"centers": centers, "half_sizes": np.full_like(centers, radius)}
             style = {"fill_mode": fill, "line_radii": [0.0007]}
             self._items(path, rr.Ellipsoids3D, spheres, style, rows, colors)
-
-    def lines(self, path: str, rows: Sequence[np.ndarray], radius: float, colors: Colors) -> None:
-        """Sends rows of line segments (k, 2, 3), m, where k may vary between rows."""
-        self._items(path, LineStrips3D, {"strips": _stack(rows)}, {"radii": [radius]}, rows, colors)
 
     def _items(
         self,

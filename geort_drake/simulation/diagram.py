@@ -134,14 +134,14 @@ def make_trial_diagram(
     valid = source.GetOutputPort("valid")
     checks = GloveChecks(ease_at_start=False)
     retargeting, correction = add_fingers(
-        builder, scenario, description, model, retarget, model.hand.start, source, valid, latency, checks
+        builder, scenario, model, retarget, model.hand.start, source, valid, latency, checks
     )
     builder.Connect(retargeting.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))
     builder.Connect(actuated_state(builder, plant, hand), correction.GetInputPort("hand_state"))
     builder.Connect(correction.GetOutputPort("desired_state"), plant.get_desired_state_input_port(hand))
 
     # Wrist: tracker pose → differential inverse kinematics → the arm's PD controllers.
-    wrist_to_arm, hand_source = add_arm(builder, scenario, description, model.diagram, source)
+    wrist_to_arm, hand_source = add_arm(builder, scenario, model, source)
     builder.Connect(valid, wrist_to_arm.GetInputPort("valid"))
     builder.Connect(wrist_to_arm.GetOutputPort("arm_desired_state"), plant.get_desired_state_input_port(arm))
 

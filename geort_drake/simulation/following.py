@@ -60,6 +60,7 @@ class RobotModel:
     """Kinematics, joints and limits of a scenario's robot, without the object.
 
     Attributes:
+        description: description of the hand.
         diagram: the robot at its initial position.
         hand, arm: the joints of each; scenario and hand description give their `start`.
         limits: limits of the hand's joints, in actuator order.
@@ -67,7 +68,7 @@ class RobotModel:
     """
 
     def __init__(self, scenario: Scenario, description: HandDescription):
-        self._scenario, self._description = scenario, description
+        self._scenario, self.description = scenario, description
         self.diagram = self.standing_at({})
         plant = self.diagram.plant()
         self.hand = JointGroup.of_plant(plant, plant.GetModelInstanceByName(HAND))
@@ -85,7 +86,7 @@ class RobotModel:
         """Returns the model with default positions (rad) of the arm's joints, by name."""
         builder = RobotDiagramBuilder(time_step=self._scenario.plant_config.time_step)
         plant = builder.plant()
-        add_robot(plant, self._scenario, self._description)
+        add_robot(plant, self._scenario, self.description)
         for name, position in arm_positions.items():
             joint = plant.GetJointByName(name, plant.GetModelInstanceByName(ARM))
             joint.set_default_positions([position])
@@ -114,7 +115,6 @@ def robot_model(scenario: Scenario, description: HandDescription) -> RobotModel:
 def add_fingers(
     builder: DiagramBuilder,
     scenario: Scenario,
-    description: HandDescription,
     model: RobotModel,
     retarget: Retarget,
     start: np.ndarray,
@@ -138,9 +138,9 @@ def add_fingers(
         PolicyError: the policy that corrects commands cannot be run.
     """
     hands = getattr(retarget, "robot_hands", ())
-    if hands and description.name not in hands:
+    if hands and model.description.name not in hands:
         known = ", ".join(hands)
-        raise HandError(f"the retargeter is for {known}, not for the robot hand {description.name}")
+        raise HandError(f"the retargeter is for {known}, not for the robot hand {model.description.name}")
     settings, chosen, joints = scenario.retargeting, scenario.correction, model.hand.joints
     at_start = dict(zip(joints, start.tolist(), strict=True))
     robot = model.diagram.plant()
@@ -161,7 +161,7 @@ def add_fingers(
     moved = (joints, at_start, model.limits, settings.period)
     correction = ActionCorrection(len(joints))
     if chosen.kind == "guard":
-        correction = SelfCollisionGuard(Hand(description), *moved, chosen.clearance)
+        correction = SelfCollisionGuard(Hand(model.description), *moved, chosen.clearance)
     elif chosen.kind == "policy":
         correction = PolicyCorrection(load_policy(chosen.policy, len(joints)), *moved)
     builder.AddNamedSystem("action_correction", correction)
@@ -175,9 +175,9 @@ def add_fingers(
 def add_arm(
     builder: DiagramBuilder,
     scenario: Scenario,
-    description: HandDescription,
-    robot: RobotDiagram,
+    model: RobotModel,
     glove: LeafSystem,
+    arm_positions: dict[str, float] | None = None,
     limit_acceleration: bool = False,
 ) -> tuple[WristToArm, LeafSystem]:
     """Adds the system that moves the arm, and connects it to the wrist's pose.
@@ -185,19 +185,21 @@ def add_arm(
     The glove of a left hand outputs the mirror image of the hand, so a system mirrors it back.
 
     Args:
-        robot, limit_acceleration: see `WristToArm`.
         glove: a system with the output ports `keypoints` and `wrist_pose`.
+        arm_positions: initial positions of the arm's joints by name, rad; by default those of the model.
+        limit_acceleration: see `WristToArm`.
 
     Returns:
         The system that moves the arm, and the system that outputs the hand's true keypoints and wrist pose.
     """
+    robot = model.standing_at(arm_positions) if arm_positions else model.diagram
     arm, hand = (robot.plant().GetModelInstanceByName(name) for name in (ARM, HAND))
-    base = robot.plant().GetFrameByName(description.base_frame, hand)
+    base = robot.plant().GetFrameByName(model.description.base_frame, hand)
     wrist_to_arm = builder.AddNamedSystem(
         "wrist_to_arm", WristToArm(robot, arm, base, scenario.wrist_to_arm, limit_acceleration)
     )
     source = glove
-    if description.side == "left":
+    if model.description.side == "left":
         source = builder.AddNamedSystem("hand_mirror", HandMirror())
         for name in ("keypoints", "wrist_pose"):
             builder.Connect(glove.GetOutputPort(name), source.GetInputPort(name))

@@ -202,8 +202,8 @@ class WebTeleoperation:
         if self.link is None:
             scenario.random_seed += self._scenes
             scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
-            robot = SimulatedRobot(scenario, description, model)
-            start = robot.hand.start, robot.arm.start
+            robot = SimulatedRobot(scenario, model)
+            start = model.hand.start, model.arm.start
             plant, graph = robot.stage.scene.plant, robot.stage.scene.scene_graph
         else:
             robot, start = self.link, self.link.handshake(timeout)
@@ -213,11 +213,10 @@ class WebTeleoperation:
         poses_of = None if self.link is None else measured_poses(plant)
 
         # The joints of a real robot are recorded, because a replay cannot reproduce them.
-        joints = {} if self.link is None else robot_joints(description, model)
+        joints = {} if self.link is None else robot_joints(model)
         recorder = GloveRecorder(scenario.operator.period, robot=joints)
         loop = make_teleoperation(
             scenario,
-            description,
             model,
             self.setup.retarget,
             GloveStream(self.station, description.side),
@@ -243,9 +242,9 @@ class WebTeleoperation:
         return loop
 
 
-def robot_joints(description: HandDescription, model: RobotModel) -> dict[str, list[str]]:
+def robot_joints(model: RobotModel) -> dict[str, list[str]]:
     """Returns the argument `robot` of `GloveRecorder`, with names as in recordings of a simulation."""
-    finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
+    finger_of = {joint: finger.name for finger in model.description.fingers for joint in finger.joints}
     hand = [f"{finger_of[joint]}.{joint}" for joint in model.hand.joints]
     groups = {"joints": hand, "arm": list(model.arm.joints)}
     return {f"{key}.{label}": names for key, names in groups.items() for label in ("command", "measured")}

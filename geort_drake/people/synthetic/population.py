@@ -67,7 +67,6 @@ class Person:
         seed, number: seed of the population, and the person's number in it.
         device: device that measures the person.
         hand: the hand as the device shows it. Pinches close in this hand, not in the true one.
-        style: "full", "small" (all movements are small) or "uneven" (those of some fingers are).
         rest: (20,) posture about which the person moves, rad.
         amplitude: (5,) amplitude of each finger's free movements, as a fraction of the hand's range.
         pace: factor on the durations of movements in `synthesize_play`.
@@ -82,7 +81,6 @@ class Person:
     number: int
     device: Device
     hand: HumanHand
-    style: str
     rest: np.ndarray
     amplitude: np.ndarray
     pace: float
@@ -176,7 +174,6 @@ def sample_person(seed: int, number: int = 0) -> Person:
         number=number,
         device=device,
         hand=hand,
-        style=style,
         rest=rest,
         amplitude=amplitude,
         pace=np.exp(rng.uniform(*np.log(_PACE))),
