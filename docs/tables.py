@@ -22,7 +22,10 @@ PACKAGE = ROOT / "geort_drake"
 
 
 def field_rows(name: str) -> list[tuple[list[str], list[str], str]]:
-    """Names, defaults and meaning of a dataclass's fields, read from its source and its comments."""
+    """Names, defaults and meaning of a dataclass's fields, read from its source and its comments.
+
+    A comment above a field that ends with a colon is a heading, and gets a row of its own.
+    """
     path, node = find_class(name)
     lines = path.read_text("utf-8").splitlines()
     comments = {
@@ -43,6 +46,9 @@ def field_rows(name: str) -> list[tuple[list[str], list[str], str]]:
         line, above = item.lineno, []
         while (line := line - 1) in comments and lines[line - 1].lstrip().startswith("#"):
             above.insert(0, comments[line])
+        if above and above[0].endswith(":"):  # a heading of the fields that follow
+            rows.append(([f"**{above.pop(0)[:-1]}**"], [""], ""))
+            shared = False
         after = comments.get(item.end_lineno, "")
         field, default = f"`{item.target.id}`", default_of(item.value)
         if shared and not above and not after and "](" not in default:

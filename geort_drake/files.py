@@ -64,7 +64,7 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
         try:
             handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=folder)
         except FileNotFoundError as error:  # a folder that takes no files, such as /proc
-            raise OutputError(f"{original}: no file can be made there") from error
+            raise OutputError(f"{original}: cannot create a file there") from error
         os.close(handle)
         draft = Path(name)
         try:

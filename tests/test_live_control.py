@@ -205,4 +205,4 @@ def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_log(tmp_path, mon
 def test_a_page_moves_a_real_robot_only_after_a_yes_in_the_terminal(answer, monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
     assert main(["live", "--robot", "lcm", "--no-open"]) == 2
-    assert "needs the answer yes" in capsys.readouterr().err
+    assert "only if you answer yes" in capsys.readouterr().err

@@ -155,4 +155,4 @@ def _confirm_real_robot() -> None:
     """
     console.print("A web page will move a real robot. Is its emergency stop within reach? Type yes:")
     if sys.stdin.readline().strip().lower() != "yes":
-        raise UsageError("--glove web with a real robot needs the answer yes on the terminal")
+        raise UsageError("a page moves a real robot only if you answer yes in the terminal")

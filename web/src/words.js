@@ -47,7 +47,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
     return following
       ? say("engaged", "The robot follows your hand", refusal || (state.slow ? SLOW : plain(state.status)))
       : say("engaged", "The robot waits", refusal || plain(state.status));
-  if (!device) return say("waiting", `Hold up your ${side} hand`, "Start the camera, or choose another way below it.");
+  if (!device) return say("waiting", `Hold up your ${side} hand`, "Use the camera, or choose another way to move the robot.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
   if (!seen) return say("waiting", `Hold up your ${side} hand`, "Show the whole hand, with the palm to the camera.");

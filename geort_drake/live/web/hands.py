@@ -115,7 +115,8 @@ def hand_translation(world: np.ndarray, image: np.ndarray, aspect: float) -> np.
     p_CM = np.linalg.lstsq(A, b)[0]
     if not _MIN_DISTANCE_M <= p_CM[2] <= _MAX_DISTANCE_M:
         raise LiveError(
-            f"hand: {p_CM[2]:.2f} m from the camera; {_MIN_DISTANCE_M} to {_MAX_DISTANCE_M} m are read"
+            f"the hand is {p_CM[2]:.2f} m from the camera; hold it {_MIN_DISTANCE_M} to {_MAX_DISTANCE_M} m "
+            "away"
         )
     return p_CM
 

@@ -282,7 +282,7 @@ class OperatorStation:
                 raise LiveError(f"no object '{command.object}'; there are {', '.join(objects)}")
         if self.about.robot != "simulation":
             if isinstance(command, Reset):
-                raise LiveError("this is for the simulation; here a real robot moves")
+                raise LiveError("a real robot moves here; only a simulation can be reset")
             now = self._clock()
             if isinstance(command, Engage) and now - operator.asked_at > _CONFIRM_S:
                 operator.asked_at = now

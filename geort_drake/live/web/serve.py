@@ -83,9 +83,9 @@ def find_page(installed: Path = _PAGE, folder: Path | None = None) -> Path:
         if (page / "index.html").is_file():
             return page
     raise LiveError(
-        "the page is not installed, because Node.js was not at hand when geort-drake was. Install Node.js 20 "
-        "or newer (https://nodejs.org). Then run `make live` in a clone and start the command there, or "
-        "install again: pip install --force-reinstall --no-deps '.[live]'. Gloves need no page: see --glove"
+        "the page is not installed, because geort-drake was installed without Node.js. Install Node.js 20 or "
+        "newer (https://nodejs.org). Then run `make live` in a clone and start the command there, or install "
+        "again: pip install --force-reinstall --no-deps '.[live]'. A glove needs no page: see --glove"
     )
 
 

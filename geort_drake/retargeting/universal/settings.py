@@ -18,9 +18,9 @@ class UniversalSettings:
     ones. Bounds that exclude each other are exceeded; then `multiplier_bounds` weighs them.
     """
 
-    steps: int = 10_000  # gradient steps; nine minutes of one core
+    steps: int = 10_000  # gradient steps, which take nine minutes on one core
     people: int = 400  # hands of the population, so many that the shapes between them are interpolated
-    play_s: float = 40.0  # s, of each person's play, in which most people make all of their movements
+    play_s: float = 40.0  # length of each person's play, s, in which most people make all their movements
     # Bounds of the constraints:
     direction: float = 0.030  # 1 − mean cosine between motions of human and robot fingertips
     track: float = 0.030  # the same for recorded steps, in which all fingers move
@@ -33,14 +33,16 @@ class UniversalSettings:
     # The objective:
     # From 10 to 5, motion preservation gains 0.002, and the angle loses 4° in the median and 14° at p90.
     posture_weight: float = 8.0
-    posture_first: float = 4.0  # factor on it at first, because fingers that formed a wrong posture keep it
+    posture_first: float = 4.0  # factor on it at first, because fingers keep a wrong posture once formed
     posture_first_share: float = 0.12  # fraction of the steps in which this factor falls to 1
-    # Size. A hand's shape does not tell how far its owner moves:
-    size_quantile: float = 0.05  # of the affine fits of all people; people who use their range most
+    # Size:
+    # Quantile of the affine fits of all people, which stands for those who use their range most, because the
+    # shape of a hand does not tell how far its owner moves it.
+    size_quantile: float = 0.05
     gain_band: tuple[float, float] = (-0.22, 0.5)  # log of gain over that fit's: 20 % below to 65 % above
     least_cosine: float = 0.3  # of a motion that a fingertip with one or two joints can follow
-    # Pinches; robot distances in fingertip radii, of which contact takes two:
-    pinch_target: float = 0.875  # distance at which pinches are aimed, so that noise does not open them
+    # Pinches, with robot distances in fingertip radii, of which contact takes two:
+    pinch_target: float = 0.875  # distance at which pinches aim, so that noise does not open them
     pinch_scale: float = 0.667  # distance from the target at which the loss turns from quadratic to linear
     deep: float = 0.333  # distance below which fingertips overlap by most of their diameter
     deep_margin: float = 0.5  # distance at which the loss of deep pinches begins
@@ -53,26 +55,26 @@ class UniversalSettings:
     collision_depth_m: float = 0.002  # overlap that counts
     collision_scale_m: float = 0.0025  # unit of the loss
     collision_jitter_m: float = 0.004  # deviation of remembered fingertips, so that their surroundings count
-    collision_every: int = 3  # steps between losses, which cost half a step
-    collision_search_every: int = 20  # steps between searches, which cost a step
+    collision_every: int = 3  # steps from one loss to the next; one costs half a step
+    collision_search_every: int = 20  # steps from one search to the next; one costs a step
     remembered_collisions: int = 4000  # hands; older ones are forgotten
     drawn_collisions: int = 64  # hands per loss
     # Batches:
-    people_per_batch: int = 12  # few, because gradients of other people average over steps
+    people_per_batch: int = 12  # a few, because the gradients of others average out over steps
     moved: int = 20  # hands of each person with one moved fingertip
     steps_per_person: int = 12  # recorded steps of each
     pinches: int = 8  # recorded pinches of each; as many again are synthetic
     step_m: tuple[float, float] = (0.001, 0.011)  # motions of one fingertip, as in evaluations
-    step_range_m: tuple[float, float] = (0.001, 0.03)  # recorded steps: shorter ones are noise, longer gaps
+    step_range_m: tuple[float, float] = (0.001, 0.03)  # recorded steps: shorter are noise, longer are gaps
     step_lags: tuple[int, ...] = (1, 2, 3)  # frames between both hands of a step
     anchors: int = 400  # frames per person and finger, uniform over the finger's places
     anchor_voxel_m: float = 0.002  # edge of such a place
     shapes_per_person: int = 8  # shapes of all frames, of one, and of windows of random lengths
     mixed: float = 0.35  # fraction of moved hands whose other fingers are from other frames
-    spread: float = 0.3  # fraction of hands whose fingertips are displaced, as play leaves gaps
-    spread_m: float = 0.006  # deviation of these
+    spread: float = 0.3  # fraction of hands whose fingertips are displaced, because play leaves gaps
+    spread_m: float = 0.006  # standard deviation of these displacements
     pinch_reach_m: float = 0.035  # fingertips closer than this are moved together in synthetic pinches
-    pinch_spread_m: float = 0.005  # deviation of synthetic pinches from recorded ones
+    pinch_spread_m: float = 0.005  # standard deviation of synthetic pinches from recorded ones
     # Network:
     finger_units: int = 64  # width of both hidden layers of a finger
     residual_units: int = 128  # width of both hidden layers of the residual
@@ -91,7 +93,7 @@ class UniversalSettings:
     collision_rate: float = 0.0006
     multiplier_bounds: tuple[float, float] = (0.1, 30.0)  # limits of a multiplier
     figure_averaging: float = 0.02  # weight of a batch in the running mean of a figure
-    robot_samples: int = 60_000  # joint angles, whose fingertips are the robot's workspace
+    robot_samples: int = 60_000  # joint angles whose fingertips make up the robot's workspace
 
     def refined(self) -> "UniversalSettings":
         """Returns the settings of a second, shorter training, which continues from the first.

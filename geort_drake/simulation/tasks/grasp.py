@@ -69,7 +69,7 @@ _ENDINGS = {
 
 
 _REASONS = {
-    "timeout": "the time was over; at the end,",
+    "timeout": "time ran out; at the end,",
     "thrown": "the object fell or was pushed away; just before,",
     "lost": "the object fell or was pushed away;",
 }
