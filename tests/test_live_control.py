@@ -101,7 +101,7 @@ def test_a_task_begins_when_the_person_engages(tmp_path, monkeypatch):
             "thrown: touch",
             "the object fell or was pushed away; just before, only one finger touched the object",
         ),
-        ("timeout: reach", "the time was over; at the end, no finger touched the object"),
+        ("timeout: reach", "time ran out; at the end, no finger touched the object"),
         ("lost: carried", "the object fell or was pushed away; the last step was: carried"),
         ("2 not pressed, 0 with others", "2 not pressed, 0 with others"),
         ("success", None),
