@@ -84,6 +84,13 @@ def docstring(name: str) -> str:
     return ast.get_docstring(node) or ""
 
 
+def sources(name: str) -> str:
+    """The paragraph of a dataclass's docstring that lists the sources of its values."""
+    paragraphs = (ast.get_docstring(find_class(name)[1]) or "").split("\n\n")
+    (text,) = (paragraph for paragraph in paragraphs if paragraph.startswith("Sources:"))
+    return text
+
+
 def fields_table(name: str) -> str:
     """A Markdown table of a dataclass's fields."""
     table = ["| field | default | meaning |", "|---|---|---|"]
@@ -368,12 +375,12 @@ def kinds_table() -> str:
     from geort_drake.simulation.person.engine import KINDS
 
     moves = {
-        "none": "by correction alone",
-        "as own": "as the robot should",
-        "learned": "as learned is needed",
+        "none": "only to correct what they see",
+        "as own": "as the robot should move",
+        "learned": "as they have learned that the robot needs",
     }
     looks = {"all": "all fingers", "one": "the finger they look at, and the thumb"}
-    rows = ["| kind | moves a finger | corrects | at |", "|---|---|---|---|"]
+    rows = ["| kind | moves a finger | corrects | rate of correction |", "|---|---|---|---|"]
     for name, kind in KINDS.items():
         rate = getattr(OperatorConfig(), kind.rate)
         rows.append(f"| `{name}` | {moves[kind.feedforward]} | {looks[kind.looks_at]} | {rate} /s |")

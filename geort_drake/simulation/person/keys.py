@@ -16,7 +16,7 @@ def _travel(m: Moment, finger: int) -> float:
 
 
 def above(m: Moment) -> np.ndarray:
-    """go above the keys; one that feels its key or sees it go down without a cue is raised"""
+    """go above the keys; a finger is raised if it feels its key, or if the key goes down without a cue"""
     config, goal, raised = m.config, m.goal, m.recall("raised", np.zeros(len(m.goal.touches))).copy()
     for finger in np.flatnonzero(goal.touches).tolist():
         idle = finger not in m.recall("acting", ())
