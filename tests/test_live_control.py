@@ -206,3 +206,10 @@ def test_a_page_moves_a_real_robot_only_after_a_yes_in_the_terminal(answer, monk
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
     assert main(["live", "--robot", "lcm", "--no-open"]) == 2
     assert "only if you answer yes" in capsys.readouterr().err
+
+
+def test_a_page_warns_of_a_robot_that_the_network_reaches(monkeypatch, capsys):
+    monkeypatch.setattr("sys.stdin", io.StringIO("no\n"))
+    address = "lcm+udpm://239.255.76.67:7667?ttl=1"
+    assert main(["live", "--robot", address, "--no-open"]) == 2
+    assert f"{address} is open to the network" in " ".join(capsys.readouterr().err.split())

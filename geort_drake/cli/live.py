@@ -83,11 +83,11 @@ class Live(Command, ScenarioOptions):
         )
         from geort_drake.console import warn
         from geort_drake.live.glove_stream import GloveStream
-        from geort_drake.live.robot_buses import ROBOT_PATTERNS, open_bus
+        from geort_drake.live.robot_buses import open_bus
         from geort_drake.live.robots import RobotLink, SimulatedRobot, open_meshcat
         from geort_drake.live.session import EnterKey, run_session, stopping
         from geort_drake.live.teleoperation import make_teleoperation
-        from geort_drake.live.transports import is_address, open_receiver, split_address
+        from geort_drake.live.transports import is_address, open_receiver
         from geort_drake.people.recording_log import RecordingLog
         from geort_drake.simulation.following import robot_model
         from geort_drake.systems.glove import GloveRecorder
@@ -104,27 +104,24 @@ class Live(Command, ScenarioOptions):
         description = load_hand(scenario.hand)
         side, duration = description.side, self.duration
         address = None if self.robot == "simulation" else self.robot
-        if address:
-            split_address(address, ROBOT_PATTERNS)
-        if self.glove == "web":
-            from geort_drake.cli.live_web import run_web
-
-            return run_web(self, scenario, description, address)
+        model = robot_model(scenario, description)
         with contextlib.ExitStack() as stack:
-            receiver = None
+            link = receiver = None
+            if address:
+                bus = stack.enter_context(contextlib.closing(open_bus(address, description)))
+                link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
+            _warn_of_open_addresses(self.glove if is_address(self.glove) else None, address)
+            if self.glove == "web":
+                from geort_drake.cli.live_web import run_web
+
+                return run_web(self, scenario, description, link)
             if is_address(self.glove):
                 receiver = stack.enter_context(contextlib.closing(open_receiver(self.glove)))
                 glove = GloveStream(receiver, side, self.glove_id)
             else:
                 glove = GloveReplay(read_recording(self.glove, side))
                 duration = min(duration, glove.duration)
-            _warn_of_open_addresses(self.glove if receiver else None, address)
-            link = None
-            bus = stack.enter_context(contextlib.closing(open_bus(address, description))) if address else None
             retarget, _ = retargeter_of(self.retargeter, description)
-            model = robot_model(scenario, description)
-            if bus:
-                link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
             recorder = None
             if self.record:
                 log = RecordingLog(self.record, {"side": side, "source": "teleoperation"})

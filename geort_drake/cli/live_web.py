@@ -11,7 +11,6 @@ from geort_drake.console import console
 from geort_drake.errors import GeortError, UsageError
 from geort_drake.files import require_writable
 from geort_drake.hands.description import HandDescription, load_hand
-from geort_drake.live.robot_buses import open_bus
 from geort_drake.live.robots import RobotLink
 from geort_drake.live.session import stopping
 from geort_drake.live.web.control import PageControl
@@ -23,7 +22,6 @@ from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.store import shipped_maps
-from geort_drake.simulation.following import robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.task import Task
@@ -35,25 +33,20 @@ _RECORDINGS = Path("runs/live")
 _MOUNTS = {"arm": "Grasp", "floating": "Floating"}
 
 
-def run_web(options: Any, scenario: Scenario, description: HandDescription, address: str | None) -> int:
-    """Serves the page and runs its sessions; called by `geort_drake.cli.live.run`."""
+def run_web(options: Any, scenario: Scenario, description: HandDescription, link: RobotLink | None) -> int:
+    """Serves the page and runs its sessions; `link` is that to a real robot, if there is one."""
     if options.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
     if options.record:
         require_writable(options.record, directory=True)
     page = find_page()
-    if address:
+    if link:
         _confirm_real_robot()
-    setup = _setup(options, scenario, description, address)
-    link = None
-    if address:
-        model = robot_model(scenario, description)
-        bus = open_bus(address, description)
-        link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
+    setup = _setup(options, scenario, description, link is not None)
 
     def choose(hand: str, mount: str) -> Setup:
         other = load_scenario(None, _MOUNTS[mount], options.scenario_text, hand)
-        return _setup(options, other, load_hand(hand), None)
+        return _setup(options, other, load_hand(hand), False)
 
     folder = options.record or _RECORDINGS
     station = OperatorStation(
@@ -61,15 +54,7 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, addr
     )
     with open_server(station, page, options.host, options.port, options.open) as server:
         control = PageControl(station, server.publish, folder)
-        teleoperation = WebTeleoperation(
-            setup,
-            choose,
-            station,
-            server,
-            control,
-            link,
-            options.relax_after,
-        )
+        teleoperation = WebTeleoperation(setup, choose, station, server, control, link, options.relax_after)
         print_keys("")
         try:
             with stopping() as stop:
@@ -96,23 +81,23 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, addr
     return 0
 
 
-def _setup(options: Any, scenario: Scenario, description: HandDescription, address: str | None) -> Setup:
-    """Returns a scenario's robot, with its map and tasks."""
+def _setup(options: Any, scenario: Scenario, description: HandDescription, is_real: bool) -> Setup:
+    """Returns a scenario's robot, a real one or that of a simulation, with its map and tasks."""
     retarget, words = retargeter_of(options.retargeter, description)
     scenarios = {scenario.task: scenario}
     mount = "arm" if scenario.hand_parent == Scenario().hand_parent else "floating"
     tasks: dict[str, list[str]] = {}
     instructions: dict[str, str] = {}
     # Only the usual scenarios have other hands, mounts and tasks.
-    usual = address is None and options.scenario_file is None and options.scenario_name in _MOUNTS.values()
-    if address is None:
+    usual = not is_real and options.scenario_file is None and options.scenario_name in _MOUNTS.values()
+    if not is_real:
         for name in task_names() if mount == "arm" else ("grasp",):
             task = find_task(name)
             scenarios.setdefault(name, _like(scenario, task))
             tasks[name], instructions[name] = task.cases(), task.summary
     named = options.retargeter is None or options.retargeter in METHODS
     hands = sorted({*shipped_maps(), scenario.hand}) if usual and named else []
-    robot = "real" if address else "simulation"
+    robot = "real" if is_real else "simulation"
     about = RobotInfo(
         description.side,
         scenario.hand,

@@ -30,8 +30,6 @@ from geort_drake.live.joint_messages import (
 )
 from geort_drake.live.transports import check_lcm_url, split_address
 
-ROBOT_PATTERNS = ("zmq", "lcm")
-
 
 def open_bus(address: str, description: HandDescription, driver: bool = False) -> Bus:
     """Opens a robot's address, or with `driver` the driver's end of it.
@@ -40,7 +38,7 @@ def open_bus(address: str, description: HandDescription, driver: bool = False) -
         LiveError: the address is malformed or in use, or pyzmq is not installed.
         HandError: the hand has no LCM messages.
     """
-    pattern, endpoint = split_address(address, ROBOT_PATTERNS)
+    pattern, endpoint = split_address(address, ("zmq", "lcm"))
     if pattern == "zmq":
         return open_driver_bus(endpoint) if driver else open_zmq_bus(endpoint)
     require_lcm_messages(description)
