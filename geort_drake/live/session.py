@@ -121,8 +121,8 @@ def run_session(
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
-    if loop.simulation is not None:
-        loop.simulation.stage.scene.initialize(root)
+    if loop.stage is not None:
+        loop.stage.scene.initialize(root)
     loop.engage(root, engaged)
     simulator.Initialize()
     report = report or SessionReport()

@@ -22,8 +22,7 @@ from geort_drake.systems.glove import GloveRecorder
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import HELD_LOST
-from geort_drake.systems.retargeting_system import RetargetingSystem
-from geort_drake.systems.wrist_to_arm import WristChecks, WristToArm
+from geort_drake.systems.wrist_to_arm import WristChecks
 
 _MAX_SAMPLES = 3_000
 
@@ -76,16 +75,14 @@ HELD_LATE = "held: the glove's frames come late"
 
 @dc.dataclass(frozen=True)
 class Teleoperation:
-    """The diagram of teleoperation, and the systems in it that sessions read."""
+    """The diagram of teleoperation, and the systems in it that sessions read; a real robot has no stage."""
 
     diagram: Diagram
     glove: LeafSystem
-    simulation: SimulatedRobot | None
-    retargeting: RetargetingSystem
+    stage: Stage | None
     watchdog: Watchdog
     correction: ActionCorrection
     wrist_checks: WristChecks
-    wrist_to_arm: WristToArm
     meter: DelayMeter | None
     simulated_person: ClassVar[bool] = False
 
@@ -104,18 +101,16 @@ class Teleoperation:
 
     def outcome(self, root: Context) -> Outcome | None:
         """Returns the task's outcome so far; None without a simulation."""
-        if self.simulation is None:
-            return None
-        return self.simulation.stage.outcome(root)
+        return None if self.stage is None else self.stage.outcome(root)
 
     def restart(self, root: Context) -> None:
         """Restarts the simulation's task at the present time."""
-        if self.simulation is not None:
-            self.simulation.stage.restart(root)
+        if self.stage is not None:
+            self.stage.restart(root)
 
     def phase(self, root: Context) -> str | None:
         """Returns the name of the task's present state; None without a simulation."""
-        return None if self.simulation is None else phase_of(self.simulation.stage, root)
+        return None if self.stage is None else self.stage.phase(root)
 
     @property
     def late(self) -> int:
@@ -144,12 +139,6 @@ class Teleoperation:
             return status
         wrist = _eval(self.wrist_checks, "state", root)
         return f"arm {wrist}" if wrist else state
-
-
-def phase_of(stage: Stage, root: Context) -> str:
-    """Returns the name of a task's present state."""
-    port, names = next(iter(stage.states.values()))
-    return names[int(port.Eval(port.get_system().GetMyContextFromRoot(root))[0])]
 
 
 def _eval(system: System, port: str, root: Context) -> Any:
@@ -184,8 +173,8 @@ def make_teleoperation(
     """
     builder = DiagramBuilder()
     builder.AddNamedSystem("glove", glove)
-    simulation = robot if isinstance(robot, SimulatedRobot) else None
-    robot = builder.AddNamedSystem("robot", simulation.diagram if simulation else robot)
+    stage = robot.stage if isinstance(robot, SimulatedRobot) else None
+    robot = builder.AddNamedSystem("robot", robot.diagram if isinstance(robot, SimulatedRobot) else robot)
     q_hand, q_arm = start
 
     # The glove's frames count only while the person is engaged.
@@ -242,6 +231,4 @@ def make_teleoperation(
 
     built = builder.Build()
     built.set_name("teleoperation")
-    return Teleoperation(
-        built, glove, simulation, retargeting, watchdog, correction, wrist_checks, wrist_to_arm, meter
-    )
+    return Teleoperation(built, glove, stage, watchdog, correction, wrist_checks, meter)

@@ -245,6 +245,11 @@ class Stage:
         """Returns the outcome so far."""
         return self.judge.outcome(self.judge.GetMyContextFromRoot(root))
 
+    def phase(self, root: Context) -> str:
+        """Returns the name of the task's present state."""
+        ((_, names),) = self.states.values()
+        return names[self.outcome(root).phase]
+
     def restart(self, root: Context) -> None:
         """Restarts the task at the present time, when the person is ready."""
         self.judge.restart(self.judge.GetMyMutableContextFromRoot(root))

@@ -5,7 +5,6 @@ from typing import Any
 
 from pydrake.systems.framework import Context
 
-from geort_drake.live.teleoperation import phase_of
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.scenario import Scenario
@@ -37,7 +36,7 @@ class WatchedTrial:
 
     def phase(self, root: Context) -> str:
         """Returns the name of the task's present state."""
-        return phase_of(self.parts.stage, root)
+        return self.parts.stage.phase(root)
 
     def following(self, root: Context) -> bool:
         """Whether the robot follows the person."""
