@@ -152,7 +152,7 @@ def test_an_interrupted_run_keeps_the_finished_methods(evaluate, quick, monkeypa
 @pytest.fixture
 def halves(play, allegro) -> Comparison:
     """A comparison on the halves of the play, of methods that need no training."""
-    return Comparison(allegro, [held_out(play, 2)], (0,), frame_limit=20)
+    return Comparison(allegro, [held_out(play, 2)], (0,), frame_limit=10)
 
 
 def row(metric, value, part="a", seed=0, weight=1.0) -> dict:

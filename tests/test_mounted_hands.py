@@ -77,7 +77,7 @@ def test_a_left_hand_is_simulated_as_the_mirror_image():
         hand = parts.plant.GetModelInstanceByName(HAND)
         base = parts.plant.GetFrameByName(parts.description.base_frame, hand)
         before = base.CalcPoseInWorld(context)
-        simulator.AdvanceTo(0.9)
+        simulator.AdvanceTo(0.7)
         poses.append((before, base.CalcPoseInWorld(context)))
         angles.append([parts.plant.GetJointByName(j, hand).get_angle(context) for j in model.joint_names])
         glove = parts.operator.GetOutputPort("keypoints")
