@@ -32,7 +32,7 @@ from geort_drake.live.joint_messages import (
     open_zmq_bus,
 )
 from geort_drake.live.messages import GloveFrame, decode, encode_frame
-from geort_drake.live.robot_buses import ALLEGRO, PANDA, Device, open_bus
+from geort_drake.live.robot_buses import ALLEGRO, PANDA, LcmDevice, open_bus
 from geort_drake.live.robots import RobotLink
 from geort_drake.live.transports import (
     LOCAL_LCM,
@@ -156,12 +156,12 @@ def test_a_malformed_message_is_refused(name):
     assert len(str(raised.value)) < 300
 
 
-def targets_of(device: Device, q: np.ndarray) -> JointTargets:
+def targets_of(device: LcmDevice, q: np.ndarray) -> JointTargets:
     """Targets of a device's joints, at 2.5 s; the joints are not in the order of its messages."""
     return JointTargets(1, 2.5, device.joints[::-1], q[::-1], np.zeros_like(q), True, 0.1)
 
 
-def state_of(device: Device, q: np.ndarray, v: np.ndarray) -> JointState:
+def state_of(device: LcmDevice, q: np.ndarray, v: np.ndarray) -> JointState:
     """The state of a device's joints, at 1 s; the joints are not in the order of its messages."""
     return JointState(1, 1.0, device.joints[::-1], q[::-1], v[::-1])
 

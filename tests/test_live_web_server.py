@@ -29,7 +29,7 @@ from geort_drake.hands.assembly import add_hand_model
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
 from geort_drake.live.web.messages import MAX_BYTES
-from geort_drake.live.web.scene import Scene, measured_poses
+from geort_drake.live.web.scene import PageScene, measured_poses
 from geort_drake.live.web.serve import find_page, host_names, is_loopback, self_signed_context
 from geort_drake.live.web.server import WebServer
 from geort_drake.simulation.following import RobotModel
@@ -210,7 +210,7 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     robot = SimulatedRobot(scenario, RobotModel(scenario, description))
     plant, body = robot.stage.scene.plant, robot.stage.scene.body
     inspector = robot.stage.scene.scene_graph.model_inspector()
-    scene = Scene(plant, inspector, description)
+    scene = PageScene(plant, inspector, description)
     facts = json.loads(json.dumps(scene.description))
     names, looks = facts["moving"], facts["geometries"]
     assert names[facts["hand_base"]["moving"]].startswith("hand::")
@@ -241,7 +241,7 @@ def test_a_mesh_is_served_as_triangles_in_drakes_axes(tmp_path):
     plant.RegisterVisualGeometry(body, RigidTransform(), box, "box", np.ones(4))
     plant.RegisterVisualGeometry(plant.world_body(), RigidTransform(), Sphere(0.1), "sun", np.ones(4))
     plant.Finalize()
-    scene = Scene(plant, graph.model_inspector(), description)
+    scene = PageScene(plant, graph.model_inspector(), description)
     used = {geometry["moving"] for geometry in scene.description["geometries"]}
     assert used == {None, *range(len(scene.moving))}  # also what does not move
     shape = next(g for g in scene.description["geometries"] if g["shape"] == "mesh")

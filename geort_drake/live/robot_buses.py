@@ -43,12 +43,12 @@ def open_bus(address: str, description: HandDescription, driver: bool = False) -
         return open_driver_bus(endpoint) if driver else open_zmq_bus(endpoint)
     require_lcm_messages(description)
     if driver:
-        return LcmBus(endpoint, ("STATUS", Device.encode_status), ("COMMAND", Device.decode_command))
-    return LcmBus(endpoint, ("COMMAND", Device.encode_command), ("STATUS", Device.decode_status))
+        return LcmBus(endpoint, ("STATUS", LcmDevice.encode_status), ("COMMAND", LcmDevice.decode_command))
+    return LcmBus(endpoint, ("COMMAND", LcmDevice.encode_command), ("STATUS", LcmDevice.decode_status))
 
 
 @dc.dataclass(frozen=True)
-class Device:
+class LcmDevice:
     """A hand or an arm on LCM that takes position commands.
 
     Attributes:
@@ -146,7 +146,7 @@ class Device:
         return values
 
 
-ALLEGRO = Device(
+ALLEGRO = LcmDevice(
     name="Allegro hand",
     joints=tuple(f"joint_{i}" for i in range(16)),
     channel="ALLEGRO",
@@ -155,7 +155,7 @@ ALLEGRO = Device(
     count_field="num_joints",
     status_fields=("joint_position_measured", "joint_velocity_estimated", "joint_position_commanded"),
 )
-PANDA = Device(
+PANDA = LcmDevice(
     name="Panda arm",
     joints=tuple(f"panda_joint{i}" for i in range(1, 8)),
     channel="PANDA",
@@ -203,14 +203,14 @@ class LcmBus(Bus[Sent, Received]):
     def __init__(
         self,
         url: str,
-        sends: tuple[str, Callable[[Device, Sent], bytes]],
-        receives: tuple[str, Callable[[Device, bytes], Received]],
+        sends: tuple[str, Callable[[LcmDevice, Sent], bytes]],
+        receives: tuple[str, Callable[[LcmDevice, bytes], Received]],
     ):
         super().__init__()
         check_lcm_url(url)
         self._lcm = DrakeLcm(url)
         self._ending: str = sends[0]
-        self._encode: Callable[[Device, Sent], bytes] = sends[1]
+        self._encode: Callable[[LcmDevice, Sent], bytes] = sends[1]
         self._new: list[tuple[Callable[[bytes], Received], bytes]] = []
         ending, decode = receives
         for device in DEVICES:

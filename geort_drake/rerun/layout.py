@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from geort_drake.errors import ScenarioError
 from geort_drake.people.keypoints import FINGER_NAMES, wrist_pose
-from geort_drake.rerun.scene import Scene
+from geort_drake.rerun.scene import PlantSpec
 from geort_drake.rerun.specs import (
     CloseUpSpec,
     HandSpec,
@@ -134,7 +134,7 @@ def default_layout(
         close_ups: name → spec of each additional view.
         view_from: direction in W from the scene to the eye.
         has_text: whether a panel shows the recorder's text.
-        specs: what is recorded, with one `Scene`.
+        specs: what is recorded, with one `PlantSpec`.
         rows: key of each spec → the rows that have been sampled.
     """
 
@@ -142,7 +142,7 @@ def default_layout(
         return {key: spec for key, spec in specs.items() if isinstance(spec, kind)}
 
     hands = {key: rows[key] for key in of(HandSpec)}
-    ((key, scene),) = of(Scene).items()
+    ((key, scene),) = of(PlantSpec).items()
     poses = rows[key]
     points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
     trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
@@ -166,7 +166,7 @@ def default_layout(
 
 
 def _close_up(
-    scene: Scene,
+    scene: PlantSpec,
     name: str,
     spec: CloseUpSpec,
     poses: Sequence[np.ndarray],

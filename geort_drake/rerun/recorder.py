@@ -24,7 +24,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, Outp
 from geort_drake.errors import OutputError, ScenarioError
 from geort_drake.files import require_writable
 from geort_drake.rerun.layout import VIEW_FROM, default_layout, followed_bodies
-from geort_drake.rerun.scene import ContactSpec, describe_scene
+from geort_drake.rerun.scene import ContactSpec, describe_plant
 from geort_drake.rerun.specs import CloseUpSpec, Spec
 from geort_drake.rerun.writer import ABOUT, Property, Viewer, Writer, file_writer, live_writer
 from geort_drake.systems.python_system import PythonSystem
@@ -82,7 +82,7 @@ def add_rerun_recorder(
         require_writable(path)
     elif not viewers:
         raise ScenarioError("a recorder needs a file, viewers or both; given: neither")
-    scene = describe_scene(plant, scene_graph, role, followed_bodies(close_ups or {}, specs or {}))
+    scene = describe_plant(plant, scene_graph, role, followed_bodies(close_ups or {}, specs or {}))
     recorded: dict[str, Spec] = {
         "body_poses": scene,
         "contact_results": dataclasses.replace(contact or ContactSpec(), scene=scene),

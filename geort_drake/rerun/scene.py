@@ -50,7 +50,7 @@ _SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
 
 
 @dataclass
-class Scene(Spec):
+class PlantSpec(Spec):
     """Records the bodies of a plant: their shapes, and poses X_WB of the moving ones in rows (bodies, 3, 4).
 
     Attributes:
@@ -114,7 +114,7 @@ class ContactSpec(Spec):
     groups: Mapping[str, Sequence[RigidBody]] | None = None
     metres_per_newton: float = 0.02
     max_length: float = 0.25
-    scene: Scene = field(default_factory=lambda: Scene([]))
+    scene: PlantSpec = field(default_factory=lambda: PlantSpec([]))
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
         return {key: plant_port(key)}
@@ -174,13 +174,13 @@ class ContactSpec(Spec):
         return totals
 
 
-def describe_scene(
+def describe_plant(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     role: Role = Role.kIllustration,
     followed: Collection = (),
     root: str = f"/{WORLD}",
-) -> Scene:
+) -> PlantSpec:
     """Reads the geometry of a finalized plant.
 
     A body without geometry of the role is drawn with its proximity geometry; a body that has neither is not
@@ -192,7 +192,7 @@ def describe_scene(
     """
     inspector = scene_graph.model_inspector()
     bodies = [plant.get_body(index) for index in map(BodyIndex, range(plant.num_bodies()))]
-    scene = Scene(
+    scene = PlantSpec(
         paths=[root + _body_path(plant, body) for body in bodies],
         body_of_geometry=bodies_of_geometries(plant, inspector),
     )
@@ -221,7 +221,7 @@ def write_robot_hand(
         X_WB: pose of the hand base; by default the identity.
     """
     writer.static(path, transform(X_WB or RigidTransform()))
-    scene = describe_scene(hand.plant, hand.scene_graph, root=path)
+    scene = describe_plant(hand.plant, hand.scene_graph, root=path)
     root = hand.contact_context()
     context = hand.plant.GetMyContextFromRoot(root)
     port = hand.plant.get_body_poses_output_port()

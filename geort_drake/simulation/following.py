@@ -13,7 +13,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import ARM, HAND, actuated_joints, add_robot
+from geort_drake.simulation.world import ARM, HAND, add_robot
 from geort_drake.systems.corrections import (
     ActionCorrection,
     PolicyCorrection,
@@ -22,7 +22,7 @@ from geort_drake.systems.corrections import (
 )
 from geort_drake.systems.glove import HandMirror
 from geort_drake.systems.glove_checks import GloveChecks
-from geort_drake.systems.joint_limits import JointLimits
+from geort_drake.systems.joint_limits import JointLimits, actuated_joints
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.wrist_to_arm import WristToArm
 

@@ -31,7 +31,8 @@ from geort_drake.rerun import (
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage, TrialResult
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import HAND, actuated_joints, actuated_state
+from geort_drake.simulation.world import HAND, actuated_state
+from geort_drake.systems.joint_limits import actuated_joints
 from geort_drake.versions import version_of
 
 HUMAN = "human"  # key of the person's hand

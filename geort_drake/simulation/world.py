@@ -30,6 +30,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.resources import PACKAGE_NAME, resource_root
 from geort_drake.simulation.object_shape import ObjectShape, object_shape
 from geort_drake.simulation.scenario import Scenario, object_file
+from geort_drake.systems.joint_limits import actuated_joints
 
 ARM, HAND = "arm", "hand"  # names of model instances
 _MESH_SIZE = 0.008  # m; edges of hydroelastic meshes, two thirds of a fingertip's radius
@@ -218,11 +219,6 @@ def standing_pose(
     x, y = scenario.object.position
     z = scenario.object.support_height - lowest_at_identity
     return RigidTransform(RotationMatrix.MakeZRotation(yaw), [x + dx, y + dy, z])
-
-
-def actuated_joints(plant: MultibodyPlant, model: ModelInstanceIndex) -> list[Joint]:
-    """Returns the actuated joints of a model in a finalized plant, in actuator order."""
-    return [plant.get_joint_actuator(index).joint() for index in plant.GetJointActuatorIndices(model)]
 
 
 def actuated_state(builder: DiagramBuilder, plant: MultibodyPlant, model: ModelInstanceIndex) -> OutputPort:

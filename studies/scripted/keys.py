@@ -7,8 +7,9 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.person.goal import Plan
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import Scene, actuated_joints
+from geort_drake.simulation.world import Scene
 from geort_drake.simulation.wrist_motion import minimum_jerk
+from geort_drake.systems.joint_limits import actuated_joints
 from geort_drake.systems.python_system import PythonSystem
 from scripted.robot import hand_order, run_script
 

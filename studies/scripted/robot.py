@@ -12,7 +12,8 @@ from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import HAND, Scene, actuated_joints, add_robot
+from geort_drake.simulation.world import HAND, Scene, add_robot
+from geort_drake.systems.joint_limits import actuated_joints
 
 
 def run_script(

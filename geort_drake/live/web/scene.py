@@ -24,7 +24,7 @@ from pydrake.multibody.tree import BodyIndex
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.keypoints import mirrored
-from geort_drake.simulation.world import ARM, HAND, actuated_joints
+from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.drawing import (
     HALF_SPACE_SIDE,
     diffuse_color,
@@ -32,6 +32,7 @@ from geort_drake.systems.drawing import (
     hull,
     load_triangles,
 )
+from geort_drake.systems.joint_limits import actuated_joints
 from geort_drake.systems.port_values import pose_to_vector
 
 # View → direction from the middle of hand and objects to the eye, and the distance in radii of both. In all
@@ -52,7 +53,7 @@ _SHAPES: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
 }
 
 
-class Scene:
+class PageScene:
     """The geometry of a finalized plant.
 
     Attributes:

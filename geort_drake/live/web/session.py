@@ -20,7 +20,7 @@ from geort_drake.live.session import STEP_S, SessionReport, run_in_real_time, ru
 from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
-from geort_drake.live.web.scene import Scene, measured_poses
+from geort_drake.live.web.scene import PageScene, measured_poses
 from geort_drake.live.web.watched_trial import make_watched_trial
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import RobotModel, robot_model
@@ -146,7 +146,7 @@ class WebTeleoperation:
             task.choose(scenario, choice.object if choice.object in cases else task.case_of(scenario))
         return scenario
 
-    def _show(self, scene: Scene) -> None:
+    def _show(self, scene: PageScene) -> None:
         """Shows a new scene."""
         self._scenes += 1
         self.server.show(msgspec.json.encode({"scene": self._scenes, **scene.description}), scene.meshes)
@@ -168,7 +168,7 @@ class WebTeleoperation:
             self._builder = TrialBuilder(Hand(setup.description))
         trial = make_watched_trial(self._builder, scenario, setup.retarget)
         parts = trial.parts
-        scene = Scene(parts.plant, parts.stage.scene.scene_graph.model_inspector(), setup.description)
+        scene = PageScene(parts.plant, parts.stage.scene.scene_graph.model_inspector(), setup.description)
         self._show(scene)
         simulator = Simulator(parts.diagram)
         root = simulator.get_mutable_context()
@@ -209,7 +209,7 @@ class WebTeleoperation:
             robot, start = self.link, self.link.handshake(timeout)
             standing = model.standing_at({})
             plant, graph = standing.plant(), standing.scene_graph()
-        scene = Scene(plant, graph.model_inspector(), description)
+        scene = PageScene(plant, graph.model_inspector(), description)
         poses_of = None if self.link is None else measured_poses(plant)
 
         # The joints of a real robot are recorded, because a replay cannot reproduce them.
