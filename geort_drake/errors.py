@@ -77,7 +77,7 @@ def naming(what: str | os.PathLike, kind: type[GeortError]) -> Iterator[None]:
         raise kind(f"{what}: {error}") from error
 
 
-def listed(names: Sequence[str], most: int = 8) -> str:
-    """Joins names by commas; of more than `most`, the last ones are counted."""
-    more = len(names) - most
-    return ", ".join(names if more <= 0 else [*names[:most], f"and {more} more"])
+def listed(names: Sequence[str]) -> str:
+    """Joins names by commas; of more than eight, the last ones are counted."""
+    more = len(names) - 8
+    return ", ".join(names if more <= 0 else [*names[:8], f"and {more} more"])

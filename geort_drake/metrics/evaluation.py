@@ -42,6 +42,7 @@ OBSERVED_S = 1.0
 NOISE = 0.001  # m, standard deviation of a fingertip's coordinates in `jitter`
 SIZE_SAMPLES = 4000  # uniform joint angles, to which `size` compares
 ENGAGEMENTS = 20  # hands at which `engagement` is measured
+_CHUNK = 4096  # rows that are computed at once; all of a long recording's would fill the memory
 
 
 @functools.lru_cache(maxsize=8)
@@ -194,9 +195,11 @@ def distal_links(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
     return lambda q: tip(q) - origin(q)
 
 
-def _in_blocks(kinematics: NumpyKinematics, rows: int = 4096) -> Callable[[np.ndarray], np.ndarray]:
-    """Returns a function of joint angles (N, n): fingertips (N, F, 3); all at once would fill the memory."""
-    return lambda q: np.concatenate([kinematics.fingertips(q[i : i + rows]) for i in range(0, len(q), rows)])
+def _in_blocks(kinematics: NumpyKinematics) -> Callable[[np.ndarray], np.ndarray]:
+    """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m."""
+    return lambda q: np.concatenate(
+        [kinematics.fingertips(q[i : i + _CHUNK]) for i in range(0, len(q), _CHUNK)]
+    )
 
 
 def distal_phalanges(recording: Recording, keypoints: Sequence[int]) -> np.ndarray:
@@ -285,9 +288,9 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
     return times
 
 
-def _in_chunks(retarget: Callable, p_HF: np.ndarray, rows: int = 4096) -> np.ndarray:
-    """Evaluates retarget(p_HF) in chunks; hidden layers of a long recording would fill the memory."""
-    chunks = [p_HF[i : i + rows] for i in range(0, len(p_HF), rows)]
+def _in_chunks(retarget: Callable, p_HF: np.ndarray) -> np.ndarray:
+    """Evaluates retarget(p_HF), (N, n), in chunks."""
+    chunks = [p_HF[i : i + _CHUNK] for i in range(0, len(p_HF), _CHUNK)]
     q = [retarget(chunk) for chunk in chunks]
     for points, returned in zip(chunks, q, strict=True):
         if np.ndim(returned) != 2 or len(returned) != len(points):

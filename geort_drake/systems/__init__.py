@@ -1,1 +1,1 @@
-"""Drake LeafSystems, one per file."""
+"""Drake systems between a glove and a robot, and what they read from a plant."""

@@ -38,7 +38,7 @@ _MAX_GAP = 0.04
 _MAX_SPEED = 3.0  # m/s
 _MAX_ROTATION_SPEED = 20.0  # rad/s; a MANUS recording at 118 Hz peaks at 8
 _SETTLE_TIME = 0.1  # s, for which the pose must be good before it is followed again
-# m; the arm's links keep the first distance from the surroundings, and mind what is within the second.
+# m; distance of the arm's links from the surroundings, and distance from which on these count.
 _SAFETY_DISTANCE, _INFLUENCE_DISTANCE = 0.01, 0.05
 # s; within a time as short as the period, a link could not brake before an obstacle.
 _HORIZON = 0.1
@@ -375,7 +375,7 @@ def _recipe(
 ) -> DifferentialIK.Recipe:
     """Returns a recipe that follows the pose and, in its null space, the nominal posture, within limits.
 
-    The arm's links stay clear of the surroundings; the hand does not, as it shall touch things.
+    The arm's links stay clear of the surroundings; the hand may touch things.
     """
     recipe = DifferentialIK.Recipe()
     follow = DifferentialIK.LeastSquaresCost.Config(cartesian_qp_weight=100.0)
