@@ -264,7 +264,6 @@ def test_a_real_robots_bodies_are_where_its_joints_say():
     np.testing.assert_allclose(poses[link.index()].GetAsMatrix34(), X_WB.GetAsMatrix34(), atol=1e-9)
 
 
-@pytest.mark.slow
 def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
     """The command, driven by a page that sends a headset's joints; `grasp --replay` replays the recording."""
     map_file(tmp_path)

@@ -93,6 +93,7 @@ def test_points_that_are_no_hand_are_never_followed():
     assert set(Session().show(1e-6 * PLAY[:100])[1][3:]) == {MEASURING}
 
 
+@pytest.mark.slow
 def test_nobody_is_taken_for_another_person_as_devices_measure_them():
     """Of gloves and cameras; and people whose hands differ are told apart within two seconds."""
     people = [sample_person(7, number) for number in range(10)]

@@ -1,6 +1,7 @@
 """Hands by name: their models, found or not, their maps, the order of their motors, and left hands."""
 
 import dataclasses
+import functools
 import importlib
 from pathlib import Path
 
@@ -42,6 +43,7 @@ def hands():
     patch = pytest.MonkeyPatch()
     patch.setenv(MODEL_FOLDERS, str(SHARED_WUJI))
 
+    @functools.cache
     def load(name: str) -> Hand:
         try:
             find_model(load_hand(name))

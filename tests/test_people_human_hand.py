@@ -134,7 +134,9 @@ def test_lost_frames_do_not_disturb_the_fit():
         np.testing.assert_array_equal(getattr(lost, field), getattr(kept, field))
 
 
-@pytest.mark.parametrize(("fixture", "limit_mm"), [("alex_npy", 1.0), ("manus_npz", 1.5)])
+@pytest.mark.parametrize(
+    ("fixture", "limit_mm"), [("alex_npy", 1.0), pytest.param("manus_npz", 1.5, marks=pytest.mark.slow)]
+)
 def test_real_hands_are_reproduced(fixture, limit_mm, request):
     """Fitted to a real recording, the model gives its fingertips back to about half a millimetre RMS.
 

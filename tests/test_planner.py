@@ -103,8 +103,11 @@ def test_every_object_has_a_grip_and_one_unlisted_or_out_of_reach_is_refused_by_
 
 @pytest.mark.parametrize(
     ("there", "reached"),
-    [([0.45, -0.15, 0.015], True), ([0.45, -0.15, -0.1], False), ([1.1, -0.15, 0.015], False)],
-    ids=["on the table", "below it", "out of reach"],
+    [
+        pytest.param([0.45, -0.15, 0.015], True, id="on the table"),
+        pytest.param([0.45, -0.15, -0.1], False, id="below it", marks=pytest.mark.slow),
+        pytest.param([1.1, -0.15, 0.015], False, id="out of reach"),
+    ],
 )
 def test_the_arm_reaches_the_place_of_a_planned_object_or_the_place_is_refused(there, reached):
     """Without collisions, so that a place below the table top is none."""
@@ -207,7 +210,7 @@ def test_links_that_are_close_at_rest_do_not_forbid_every_posture():
     assert not query.ComputeSignedDistancePairwiseClosestPoints(1e-4)
 
 
-@pytest.mark.parametrize("name", ["cube", "bottle"])
+@pytest.mark.parametrize("name", ["cube", pytest.param("bottle", marks=pytest.mark.slow)])
 def test_a_hand_with_a_forearm_and_close_fingers_that_cannot_spread_grasps(name, tmp_path, monkeypatch):
     """Its fingers bend in one plane; the forearm is thicker than the palm and lies on the arm."""
     monkeypatch.setattr("geort_drake.simulation.plan.grasp._TRIES", 4)

@@ -59,6 +59,7 @@ def test_training_finds_the_planted_map(fk, training_seed, reaches):
     reaches("error, m", float(np.median(error)), 0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.training
 def test_the_weight_of_a_criterion_lowers_its_loss(training_seed, reaches):
     """Each of the criteria II to V acts: with its weight its own loss ends lower than without."""

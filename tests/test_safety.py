@@ -223,7 +223,7 @@ def test_an_arm_that_is_engaged_again_does_not_jump(gap):
     assert not bench.broken
 
 
-@pytest.mark.parametrize("turn", [0.0, 1.0, -1.0])
+@pytest.mark.parametrize("turn", [0.0, *(pytest.param(turn, marks=pytest.mark.slow) for turn in (1.0, -1.0))])
 def test_the_arms_links_stay_off_the_table(turn):
     """However low and far the wrist goes; the hand itself may touch what lies on the table."""
     bench = ArmBench()

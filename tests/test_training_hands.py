@@ -104,6 +104,7 @@ def test_a_left_hand_learns_what_the_right_one_learns(tmp_path, play, allegro):
         train_map(Mirrored(), play, settings=settings)
 
 
+@pytest.mark.slow
 @pytest.mark.training
 def test_a_short_training_already_serves_the_real_recording(alex_npy, allegro, training_seed, reaches):
     """Fingertips move as the person's, and pinches come near contact."""

@@ -254,6 +254,7 @@ def test_an_interrupted_training_resumes_to_the_same_weights(tmp_path, monkeypat
         train_universal(*parts, settings, state=state)
 
 
+@pytest.mark.slow
 @pytest.mark.training
 def test_a_short_training_serves_people_it_has_not_seen(training_seed, reaches):
     """In 300 steps, motions of unseen people's fingertips turn from random directions to their own."""
