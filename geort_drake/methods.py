@@ -25,10 +25,8 @@ def is_trained(method: str) -> bool:
     return method in METHODS and METHODS[method].is_trained
 
 
-def names_of(methods: Sequence[str], hand: Hand | None = None) -> dict[str, str]:
-    """Returns name → method without duplicates; maps and Python files are named by their paths.
-
-    With a `hand`, maps must be for this hand.
+def names_of(methods: Sequence[str], hand: Hand) -> dict[str, str]:
+    """Returns name → method without duplicates, after checks; maps and Python files are named by their paths.
 
     Raises:
         UnknownNameError: an entry is neither a method nor a map or a Python file.
@@ -44,10 +42,10 @@ def names_of(methods: Sequence[str], hand: Hand | None = None) -> dict[str, str]
             raise MethodError(f"{method}: no such file; it must define make(hand)")
         if not (is_python or is_method or path.suffix == SUFFIX):
             raise UnknownNameError("retargeting method or map", method, METHODS)
-        if hand is not None and not (is_method or is_python):
-            load_retargeter(path, hand)
-        elif hand is not None and method == "universal":
+        if method == "universal":
             fit(hand)
+        elif not (is_method or is_python):
+            load_retargeter(path, hand)
         name, source = (method, method) if is_method else (path.name, str(path))
         if names.setdefault(name, source) != source:
             raise BenchmarkError(

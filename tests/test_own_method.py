@@ -89,7 +89,7 @@ def test_a_file_without_a_method_is_refused(tmp_path, play, text):
     with pytest.raises(MethodError, match=rf"mine\.py: {fault}"):
         OwnMethod(tmp_path / "mine.py", allegro()).check(play.p_HK[0])
     with pytest.raises(MethodError, match=r"other\.py: no such file"):
-        names_of([str(tmp_path / "other.py")])
+        names_of([str(tmp_path / "other.py")], allegro())
 
 
 def test_time_that_a_method_waits_counts_as_latency(tmp_path, play, monkeypatch):

@@ -81,7 +81,7 @@ class Evaluate(Command):
 
         hand = Hand(self.hand)
         methods = list(dict.fromkeys(self.methods or methods_for(self.hand)))
-        names_of(methods, hand=hand)  # refuses unusable ones before anything is trained
+        names_of(methods, hand)  # refuses unusable ones before anything is trained
         seeds = list(dict.fromkeys(self.seeds))
         recording = read_recording(self.recording, hand.description.side, training=True)
         protocols = [same_person(recording, self.recording.name)]
@@ -148,7 +148,7 @@ class Explore(Command):
         from geort_drake.retargeting.train import training_recording
 
         hand = Hand(self.hand)
-        names = names_of(self.methods, hand=hand)
+        names = names_of(self.methods, hand)
         recording = training_recording(self.recording, hand.description.side, self.seed)
         hands = excerpt(recording, duration_s=self.duration, start_s=self.start)
         methods = {}
