@@ -54,6 +54,11 @@ def names_of(methods: Sequence[str], hand: Hand) -> dict[str, str]:
     return names
 
 
+def methods_for(hand: Hand) -> list[str]:
+    """Returns all methods; the universal map only if one is shipped for the hand."""
+    return [name for name in METHODS if name != "universal" or hand.description.name in shipped_maps()]
+
+
 def default_method(hand: Hand) -> str:
     """Returns the method to take where none is named: the hand's universal map, or one that is trained."""
     return "universal" if hand.description.name in shipped_maps() else DEFAULT_METHOD

@@ -142,16 +142,6 @@ class ScenarioOptions:
         return load_scenario(self.scenario_file, self.scenario_name, self.scenario_text, self.hand)
 
 
-def methods_for(hand: str) -> tuple[str, ...]:
-    """Returns all methods; the universal map only if one is shipped for the hand, a name or file."""
-    from geort_drake.hands.description import load_hand
-    from geort_drake.retargeting import METHODS
-    from geort_drake.retargeting.store import shipped_maps
-
-    has_map = load_hand(hand).name in shipped_maps()
-    return tuple(name for name in METHODS if name != "universal" or has_map)
-
-
 def methods_epilog(trained: bool = False) -> str:
     """Returns the help's list of all methods, or of those that are trained."""
     from geort_drake.retargeting import METHODS

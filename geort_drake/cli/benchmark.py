@@ -19,7 +19,6 @@ from geort_drake.cli.base import (
     Side,
     finish,
     methods_epilog,
-    methods_for,
     options,
     require_output_folder,
     write_json,
@@ -122,13 +121,11 @@ class Benchmark(Command, ScenarioOptions):
         from geort_drake import Hand
         from geort_drake.benchmark.run import Benchmark, Settings
         from geort_drake.benchmark.workers import join_cluster
-        from geort_drake.hands.description import load_hand
-        from geort_drake.methods import names_of
+        from geort_drake.methods import methods_for, names_of
         from geort_drake.simulation.tasks import find_task
 
         scenarios = self._scenarios()
         first = next(iter(scenarios.values()))
-        methods = self.methods or (QUICK_METHODS if self.quick else methods_for(first.hand))
         objects = self._cases
         known = dict.fromkeys(
             itertools.chain.from_iterable(find_task(variant.task).cases() for variant in scenarios)
@@ -136,7 +133,8 @@ class Benchmark(Command, ScenarioOptions):
         for name in objects:
             if name not in known and not self.quick:
                 raise UnknownNameError("object", name, known)
-        names = names_of(methods, Hand(first.hand))
+        hand = Hand(first.hand)
+        names = names_of(self.methods or (QUICK_METHODS if self.quick else methods_for(hand)), hand)
         if self.backend == "ray":
             join_cluster(self._jobs)
         recording, operator = (
@@ -145,7 +143,7 @@ class Benchmark(Command, ScenarioOptions):
         settings = Settings(
             recording=recording,
             operator=operator,
-            side=self.side or load_hand(first.hand).side,
+            side=self.side or hand.description.side,
             seed=self.seed,
             measure_latency=self.measure_latency,
             persons=list(self.persons) or [first.person],

@@ -17,7 +17,6 @@ from geort_drake.cli.base import (
     Seed,
     finish,
     methods_epilog,
-    methods_for,
     options,
     view,
     write_json,
@@ -67,7 +66,7 @@ class Evaluate(Command):
     def run(self) -> int:
         from geort_drake import Hand, read_recording
         from geort_drake.console import console, progress_bar, warn
-        from geort_drake.methods import names_of
+        from geort_drake.methods import methods_for, names_of
         from geort_drake.metrics.compare import (
             Comparison,
             Row,
@@ -80,7 +79,7 @@ class Evaluate(Command):
         )
 
         hand = Hand(self.hand)
-        methods = list(dict.fromkeys(self.methods or methods_for(self.hand)))
+        methods = list(dict.fromkeys(self.methods or methods_for(hand)))
         names_of(methods, hand)  # refuses unusable ones before anything is trained
         seeds = list(dict.fromkeys(self.seeds))
         recording = read_recording(self.recording, hand.description.side, training=True)
