@@ -118,6 +118,7 @@ def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_
     assert np.median(np.abs(change - near.gradient[here] @ step)) < 0.05 * np.linalg.norm(step) * 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("light_evaluation")
 def test_from_a_model_file_to_an_evaluated_retargeter(tmp_path):
     """One command describes the hand, one trains for it; no code knows its joints."""

@@ -58,7 +58,9 @@ def reach(hand: Hand, link: str, role: Role) -> np.ndarray:
     return np.array([np.concatenate(points).min(axis=0), np.concatenate(points).max(axis=0)])
 
 
-@pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
+@pytest.mark.parametrize(
+    "kind", ["urdf", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("sdf", "xml"))]
+)
 def test_bare_links_collide_with_what_is_drawn(kind, tmp_path):
     """Collision geometry is as large as the visual geometry; the checks then find no fault."""
     model = drawn_alone(tmp_path, kind)
@@ -458,6 +460,7 @@ def test_one_hand_may_have_an_arm_or_a_folding_palm(tmp_path):
     assert "as each moves 2 fingers at once: 'fold'" in "\n".join(notes)
 
 
+@pytest.mark.slow
 def test_of_two_hands_in_one_file_the_named_one_is_described(tmp_path):
     """Each with a root, followers and motors of its own; the other one's joints are held, its parts loose."""
     parts = {"worldbody": "", "equality": "", "actuator": ""}

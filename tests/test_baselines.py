@@ -149,6 +149,7 @@ def test_the_affine_map_maps_one_workspace_to_the_other(kinematics):
         AffineIK(kinematics, np.full((5, 4, 3), 0.1))
 
 
+@pytest.mark.slow
 @pytest.mark.training
 def test_telekinesis_learns_the_scaled_hand(training_seed, reaches):
     """A person whose scaled hand the robot can have is reproduced within a few millimetres."""

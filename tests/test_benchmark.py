@@ -126,6 +126,7 @@ def test_a_field_of_the_scenario_is_varied_by_its_name():
             vary(scenario, [text])
 
 
+@pytest.mark.slow
 def test_a_submitted_method_adds_its_row_with_the_settings_of_the_others(copy, tmp_path):
     before = rows_of(copy)
     assert run_command("benchmark", ["--output", str(copy), "--jobs", "1", "--submit", "anyteleop"]) == 0
@@ -260,6 +261,7 @@ def test_several_tasks_share_one_folder(tmp_path, monkeypatch):
     assert "## keys, servo people" in report and "## grasp, servo people" in report
 
 
+@pytest.mark.slow
 def test_a_trial_is_the_same_in_a_benchmark_in_the_command_grasp_and_on_the_page(tmp_path):
     """Bit for bit, for the same method, object and seed."""
     options = ["--scenario-text", "{timeout: 2.5, random_seed: 4}", "--objects", "cylinder", "--trials", "1"]
@@ -278,6 +280,7 @@ def test_a_trial_is_the_same_in_a_benchmark_in_the_command_grasp_and_on_the_page
     assert metrics == {name: row[name] for name in metrics}
 
 
+@pytest.mark.slow
 def test_trained_methods_are_trained_several_times_and_others_once(tmp_path, monkeypatch):
     """Each training has its seed and its rows."""
     made = []

@@ -129,6 +129,7 @@ def test_a_failed_case_does_not_stop_the_others(evaluate, quick, monkeypatch, ca
     assert "(1 of 2)" in said
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_keeps_the_finished_methods(evaluate, quick, monkeypatch, tmp_path):
     """The file is whole after each method, and trained maps are found again."""
     trained = []
@@ -191,6 +192,7 @@ def test_the_worst_value_depends_on_which_direction_is_better():
     assert np.isnan(worst("pinch.mean_mm", [1.0])) and better("size.fingers.thumb") is None
 
 
+@pytest.mark.slow
 def test_an_online_method_gets_recorded_frames_in_order_from_rest(halves, quick, monkeypatch):
     """Track and coverage of an online method are of each sequence, whatever was asked about before."""
     outputs = []

@@ -244,6 +244,7 @@ def test_commands_run(chain, tiny_work, capsys):
             assert all(Path(path).exists() for path in inputs if isinstance(path, Path))
 
 
+@pytest.mark.slow
 def test_an_interrupted_grasp_keeps_whole_trials_and_their_scenario(tiny_work, monkeypatch):
     """They can be exported; an interrupted first trial leaves an earlier run, and a whole one replaces it."""
 

@@ -450,6 +450,7 @@ def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
     assert 0 < report["delay_s"]["median"] <= report["delay_s"]["p99"]
 
 
+@pytest.mark.slow
 def test_a_replay_drives_the_simulation(station, tmp_path):
     """In one process; Enter engages and disengages, and the glove's data are recorded."""
     with program(

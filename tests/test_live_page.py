@@ -163,6 +163,7 @@ def headset(browser, stub):
     return open_headset
 
 
+@pytest.mark.slow
 def test_headset_sends_the_robots_side_in_order(headset, stub, address, rng):
     left, right = rng.uniform(-1, 1, (2, 25, 3)).round(3).tolist()
     page = headset(address, {"left": left, "right": right})
@@ -317,6 +318,7 @@ def test_a_browser_without_webgl_is_told_that_the_page_needs_it(playwright, stub
     browser.close()
 
 
+@pytest.mark.slow
 def test_an_old_address_is_refused_in_words(browser, stub):
     server = WebServer(station(), "127.0.0.1", 0, "key", PAGE)
     try:
@@ -326,6 +328,7 @@ def test_an_old_address_is_refused_in_words(browser, stub):
         server.close()
 
 
+@pytest.mark.slow
 def test_a_camera_that_stops_or_comes_too_late_is_left_in_words(browser, stub, address):
     page = open_page(browser, stub, f"{address}/#key", "test/late_camera.js", NO_PICTURES)
     page.click("#camera")

@@ -134,6 +134,7 @@ def test_another_version_of_a_model_causes_a_warning(tmp_path, monkeypatch):
         Hand(published_hand(tmp_path, "0" * 64))
 
 
+@pytest.mark.slow
 def test_one_command_trains_several_hands_and_skips_those_with_a_map(tmp_path, monkeypatch):
     """Of each hand in two stages, and for its mirror image."""
     people = np.stack([sample_person(7, number).record(10.0, 30.0).p_HK for number in range(2)])

@@ -330,7 +330,8 @@ def test_each_finger_presses_until_it_has_its_part_of_the_grip(rng):
     assert speed[1] > 0.01 and speed[0] == pytest.approx(speed[1]) and speed[2] == speed[3] == 0
 
 
-@pytest.mark.parametrize("kind", ["adaptive", pytest.param("servo", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["adaptive", "servo"])
 def test_a_map_with_a_gap_in_the_pinch_cannot_hold_what_is_thinner(kind, monkeypatch):
     """A gap of 30 mm, an object of 10 mm: the own thumb and finger meet before the robot's touch.
 
@@ -389,6 +390,7 @@ def test_the_grasp_also_holds_without_touch():
     assert session.phases == STRAIGHT and session.raised > 0.1
 
 
+@pytest.mark.slow
 def test_the_grasp_also_holds_in_a_noisier_scene():
     """Four times as much."""
     noisy = {name: 4 * getattr(OperatorConfig(), name) for name in QUIET}

@@ -36,6 +36,7 @@ def during(shown, *names) -> Recording:
     return replace(recording, valid=np.isin(steps, names))
 
 
+@pytest.mark.slow
 def test_the_demonstration_covers_every_required_motion(shown):
     """Nothing is missing, nothing is wrong, and about a quarter of the time is pinches."""
     recording, steps = shown
@@ -48,6 +49,7 @@ def test_the_demonstration_covers_every_required_motion(shown):
     assert 0.2 < (distance.min(axis=0) < 0.015).mean() < 0.35
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finger", FINGER_NAMES)
 def test_each_step_contains_its_motion(shown, finger):
     """Alone, every motion of the finger is enough; without their step, pinches are what lacks."""
@@ -87,6 +89,7 @@ def test_a_trembling_pinch_counts_once():
     assert pinches(np.array([near, near])) == 0
 
 
+@pytest.mark.slow
 def test_the_watch_ends_when_nothing_is_missing(tmp_path, shown, capsys, monkeypatch):
     """A file that grows while it is watched: first something is missing, then nothing."""
     recording, _ = shown
@@ -135,6 +138,7 @@ def test_only_the_trained_fingers_are_measured(play):
     assert all(motion.enough for motion in finger_motions(play.p_HK))
 
 
+@pytest.mark.slow
 def test_the_demonstration_is_a_rerun_recording(tmp_path, shown, monkeypatch):
     """The hand moves, and a lane names the steps in their order."""
     output = tmp_path / "protocol.rrd"

@@ -93,6 +93,7 @@ def test_reachable_fingertips_are_reached_from_nearby(hand, rng):
     np.testing.assert_allclose(alone, theta[3], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_fitting_recovers_the_person():
     """Palm, bones and hinge planes of a person of another size come back from a recording of them."""
     person = HumanHand.anatomical(0.172, 0.078)

@@ -106,7 +106,7 @@ def test_every_object_has_a_grip_and_one_unlisted_or_out_of_reach_is_refused_by_
     [
         pytest.param([0.45, -0.15, 0.015], True, id="on the table"),
         pytest.param([0.45, -0.15, -0.1], False, id="below it", marks=pytest.mark.slow),
-        pytest.param([1.1, -0.15, 0.015], False, id="out of reach"),
+        pytest.param([1.1, -0.15, 0.015], False, id="out of reach", marks=pytest.mark.slow),
     ],
 )
 def test_the_arm_reaches_the_place_of_a_planned_object_or_the_place_is_refused(there, reached):
@@ -129,7 +129,10 @@ def test_an_object_too_low_for_a_hands_fingertips_is_refused_before_the_trial():
         GraspPlanner(scenario_with("die"), description).plans(2)
 
 
-@pytest.mark.parametrize("name", ["cylinder", "block_tiny", "can_heavy", *SMALL])
+@pytest.mark.parametrize(
+    "name",
+    ["cylinder", "block_tiny", "can_heavy", *(pytest.param(name, marks=pytest.mark.slow) for name in SMALL)],
+)
 def test_a_planned_grasp_touches_and_nothing_collides(name):
     """In the planned posture, in a plant without collision filters, only fingertips meet the object."""
     scenario, description = scenario_with(name), load_hand("allegro_right")

@@ -90,6 +90,7 @@ class Idle:
         return SimpleNamespace(Eval=lambda _context: np.zeros(self._plant.num_actuators()))
 
 
+@pytest.mark.slow
 def test_energy_without_work_is_noticed():
     """The arm's motion has no source if the motors' work is left out."""
     parts = grasp()

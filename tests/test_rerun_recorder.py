@@ -183,6 +183,7 @@ def test_without_a_file_samples_are_dropped_once_sent(tmp_path, at_once):
     np.testing.assert_allclose(times, np.arange(11) * 0.02, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_server_and_a_file_record_at_once_and_a_missing_viewer_causes_a_warning(tmp_path, monkeypatch):
     """The server listens while the simulation runs, and the file is whole after it.
 
