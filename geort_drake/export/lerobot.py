@@ -163,7 +163,9 @@ def features_of(episode: Episode) -> Features:
         floats["observation.environment_state"] = (np.concatenate([*handled.values()], axis=1), names)
     if episode.glove.X_WH is not None:
         floats["observation.wrist"] = (episode.glove.X_WH[seen], _POSE)
-    features: Features = {name: (values.astype(np.float32), of) for name, (values, of) in floats.items()}
+    features: Features = {
+        name: (values.astype(np.float32), labels) for name, (values, labels) in floats.items()
+    }
     features["next.done"] = (last[:, None], None)
     if "success" in episode.facts:
         features["next.success"] = ((last & bool(episode.facts["success"]))[:, None], None)

@@ -103,7 +103,7 @@ def response(retarget: Callable, hand: Hand, hands: Recording) -> Response:
         human = mirrored(human)
     p_BF = hand.fingertips(q)
     copy = proportional_copy(human, p_BF)
-    pinching = find_pinches(human, hand.finger_names).of(p_BF)
+    pinching = find_pinches(human, hand.finger_names).select(p_BF)
     gap = np.linalg.norm(pinching[:, 1] - pinching[:, 0], axis=-1)
     return Response(
         q,
@@ -251,7 +251,7 @@ def _write_pinches(
     writer: Writer, path: str, tips: np.ndarray, pinches: Pinches, colors: np.ndarray, radius: float
 ) -> None:
     """Draws a cage of colours (T, 3) around the midpoint of the tips that should meet."""
-    middle, pinched = pinches.of(tips).mean(axis=1), pinches.closed.astype(int)
+    middle, pinched = pinches.select(tips).mean(axis=1), pinches.closed.astype(int)
     rows = [point[None][:count] for point, count in zip(middle, pinched, strict=True)]
     shades = [color[None][:count] for color, count in zip(colors, pinched, strict=True)]
     writer.points(f"{path}/pinch", rows, radius, shades, CAGE)

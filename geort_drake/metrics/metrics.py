@@ -132,7 +132,7 @@ class Pinches:
         """(T,) whether the pair pinches."""
         return self.distance < PINCH_M
 
-    def of(self, tips: np.ndarray) -> np.ndarray:
+    def select(self, tips: np.ndarray) -> np.ndarray:
         """Selects the tips (T, 2, 3) of these pairs from any fingertips (T, F, 3)."""
         return tips[np.arange(len(tips))[:, None], self.pair]
 
@@ -229,7 +229,7 @@ def pinch(
         }
 
     pinches = find_pinches(frames, finger_names)
-    nearest = np.linalg.norm(np.diff(pinches.of(p_BF), axis=1)[:, 0], axis=-1)
+    nearest = np.linalg.norm(np.diff(pinches.select(p_BF), axis=1)[:, 0], axis=-1)
     return figures(nearest[pinches.closed]) | {
         "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
         "all_pairs": figures(robot[human < PINCH_M]),

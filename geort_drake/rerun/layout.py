@@ -138,26 +138,26 @@ def default_layout(
         rows: key of each spec → the rows that have been sampled.
     """
 
-    def of(kind: type[Spec]) -> dict[str, Any]:
+    def specs_of(kind: type[Spec]) -> dict[str, Any]:
         return {key: spec for key, spec in specs.items() if isinstance(spec, kind)}
 
-    hands = {key: rows[key] for key in of(HandSpec)}
-    ((key, scene),) = of(PlantSpec).items()
+    hands = {key: rows[key] for key in specs_of(HandSpec)}
+    ((key, scene),) = specs_of(PlantSpec).items()
     poses = rows[key]
-    points = {entity_path(WORLD, key): spec for key, spec in of(PointsSpec).items()}
+    points = {entity_path(WORLD, key): spec for key, spec in specs_of(PointsSpec).items()}
     trails = {path: _visible_past(spec.trail) for path, spec in points.items() if spec.trail}
     target, distance = _target_and_distance(poses, hands, scene.reach)
     eye = target + distance * view_from / np.linalg.norm(view_from)
     top = [scene_view(eye, target, overrides=trails)]
     top += [_close_up(scene, name, spec, poses, hands, trails) for name, spec in close_ups.items()]
-    pages = _plots(of(SignalSpec))
+    pages = _plots(specs_of(SignalSpec))
     forces = time_series("contact force [N]", ["/contact/**"], legend="left")
     pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
     if has_text:
         top.append(rrb.TextDocumentView(origin=ABOUT, name="what you see"))
     bands: list[View] = [rrb.Horizontal(*top)]
     shares = [_VIEWS]
-    if states := [entity_path(key) for key in of(StateSpec)]:
+    if states := [entity_path(key) for key in specs_of(StateSpec)]:
         bands.append(rrb.StateTimelineView(origin="/", contents=states, name="phase"))
         shares.append(lanes_share(len(states), _VIEWS + _PLOTS))
     tabs = [rrb.Horizontal(*plots, name=page) for page, plots in pages.items()]
@@ -243,6 +243,6 @@ def _plots(signals: Mapping[str, SignalSpec]) -> dict[str, list[View]]:
             limits.setdefault(title, spec.limits)
     order = {name: number for number, name in enumerate(FINGER_NAMES)}
     pages: dict[str, list[View]] = {page: [] for page, _ in paths}
-    for page, title in sorted(paths, key=lambda of: order.get(of[1].partition(" ")[0], len(order))):
+    for page, title in sorted(paths, key=lambda plot: order.get(plot[1].partition(" ")[0], len(order))):
         pages[page].append(time_series(title, paths[page, title], limits=limits[title]))
     return pages

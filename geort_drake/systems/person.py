@@ -35,8 +35,8 @@ class PersonMap:
 
     def __init__(self, for_person: Callable[[np.ndarray], Callable[[np.ndarray], np.ndarray]]):
         self._for_person = for_person
-        # The last result of `_of`, which takes 1 ms, and its frames. These are compared, not hashed, because
-        # every update does so.
+        # The last result of `_map_of`, which takes 1 ms, and its frames. These are compared, not hashed,
+        # because every update does so.
         self._frames = b""
         self._last: tuple[Callable[[np.ndarray], np.ndarray], np.ndarray] | None = None
 
@@ -57,7 +57,7 @@ class PersonMap:
         if memory["count"] < MEASURED_FRAMES:
             return False
         try:
-            self._of(memory)
+            self._map_of(memory)
         except GeortError:
             memory["count"] = 0
             return False
@@ -68,7 +68,7 @@ class PersonMap:
         """Returns whether the latest frames, up to p_HK (21, 3), m, at `time`, s, show other bones."""
         if time - memory["compared"] >= _PERIOD - 1e-9:
             memory["compared"] = time
-            change = _log_bones(p_HK) - self._of(memory)[1]
+            change = _log_bones(p_HK) - self._map_of(memory)[1]
             share = _PERIOD / _AVERAGING_TIME
             memory["difference"] += share * (change - memory["difference"])
             deviation = np.abs(change - memory["difference"]).mean()
@@ -77,9 +77,9 @@ class PersonMap:
 
     def __call__(self, memory: np.void, p_HK: np.ndarray) -> np.ndarray:
         """Returns joint positions (n,), rad, for keypoints (21, 3), m, of the measured person."""
-        return self._of(memory)[0](p_HK)
+        return self._map_of(memory)[0](p_HK)
 
-    def _of(self, memory: np.void) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
+    def _map_of(self, memory: np.void) -> tuple[Callable[[np.ndarray], np.ndarray], np.ndarray]:
         """Returns the map, and the logarithms of the measured bone lengths (20,)."""
         frames = memory["frames"].tobytes()
         if self._last is None or frames != self._frames:

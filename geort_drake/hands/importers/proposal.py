@@ -93,7 +93,9 @@ def propose(
     for finger, source, label in zip(fingers, sources, names, strict=True):
         if not source.startswith("a sphere"):
             guessed.setdefault(source, []).append(f"{label} {1e3 * finger.tip_radius:.1f} mm")
-    notes += [f"tips and their radii come from {source}: {', '.join(of)}" for source, of in guessed.items()]
+    notes += [
+        f"tips and their radii come from {source}: {', '.join(tips)}" for source, tips in guessed.items()
+    ]
     for reason in dict.fromkeys(structure.held_joints.values()):
         joints = listed([f"'{joint}'" for joint, why in structure.held_joints.items() if why == reason])
         notes.append(f"joints are held at their default positions, as each {reason}: {joints}")

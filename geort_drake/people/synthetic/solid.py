@@ -104,7 +104,7 @@ class SolidHand:
         outward = np.cos(_TIP_ANGLE) * directions[..., 2, :] + np.sin(_TIP_ANGLE) * palmar
         chain[..., 3, :] -= self.radii[:, 2:] * outward
         chain[..., 0, :] += _WEB * (chain[..., 1, :] - chain[..., 0, :])
-        return _Proximity.of(*_ends(chain), self._touching_distance).pair_depths()
+        return _Proximity.between(*_ends(chain), self._touching_distance).pair_depths()
 
     def move(self, theta: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Moves the hand towards a posture until digits touch; they slide along each other unless pressed.
@@ -217,7 +217,7 @@ class SolidHand:
         return np.minimum(np.maximum(theta, self.hand.lower), self.hand.upper)
 
     def _proximity(self, theta: np.ndarray) -> "_Proximity":
-        return _Proximity.of(*self._capsules(theta), self._touching_distance)
+        return _Proximity.between(*self._capsules(theta), self._touching_distance)
 
     def _capsules(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Returns both ends (..., 15, 3), m, in H, of the capsules' axes."""
@@ -277,7 +277,8 @@ class _Proximity(NamedTuple):
     depth: np.ndarray
 
     @classmethod
-    def of(cls, start: np.ndarray, end: np.ndarray, touching_distance: np.ndarray) -> "_Proximity":
+    def between(cls, start: np.ndarray, end: np.ndarray, touching_distance: np.ndarray) -> "_Proximity":
+        """Returns how near all pairs of capsules are that touch at these distances (n,) of their axes, m."""
         # Ericson, Real-Time Collision Detection (2005), section 5.1.9.
         along = end - start
         squared = np.einsum("...i,...i", along, along)
