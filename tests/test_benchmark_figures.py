@@ -1,7 +1,9 @@
 """A benchmark's log, its figures by closed forms, and the coverage of its intervals."""
 
+import dataclasses
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -19,6 +21,8 @@ from geort_drake.benchmark.analysis import (
     variance,
 )
 from geort_drake.benchmark.log import TrialLog, key_of, read_rows
+from geort_drake.benchmark.report import write_report
+from geort_drake.benchmark.run import Settings
 from geort_drake.errors import BenchmarkError, OutputError
 from studies.interval_coverage import Design, coverage
 
@@ -104,6 +108,57 @@ def test_objects_that_always_fail_widen_the_interval():
     mean, low, high = figures["success"]
     assert mean == pytest.approx(0.7) and low < 0.45 and high > 0.87
     assert figures["time"].mean == pytest.approx(0.7 * 5.0 + 0.3 * 20.0)
+
+
+def test_deviations_that_cancel_within_each_object_do_not_make_a_difference_certain():
+    """One seed of three is lost with every object: nine pairs know no better than nine independent ones."""
+    objects = np.repeat(np.arange(3), 3)
+    for values in (np.tile([-1.0, 0.0, 0.0], 3), np.tile([1.0, -1.0, 0.0], 3)):
+        assert mean_interval(values, [objects]) == pytest.approx(mean_interval(values, []))
+    rows = [trial(name, f"o{k}", s, None if name == "geort" and k == 0 else 5.0)
+            for name in ("hold", "geort") for k in range(3) for s in range(4)]  # fmt: skip
+    difference = table(frame_of(rows), ["hold", "geort"]).to_dict("records")[1]["difference"]
+    assert difference == pytest.approx((-1 / 3, -1.0, 1.0))
+
+
+def test_equal_values_have_the_interval_of_as_many_independent_trials():
+    """Also times that differ from their mean by rounding only."""
+    for values in (np.full(27, 0.1), np.full(9, 0.1)):
+        mean, low, high = bounded_interval(values, [np.arange(len(values)) % 3])
+        assert mean == pytest.approx(0.1) and low < 0.03 and high > 0.3
+    assert np.isnan(mean_interval(np.full(27, 0.1), [np.arange(27) % 3]).low)
+
+
+def test_a_table_of_trials_that_all_raised_has_no_rates():
+    rows = [error(name, seed=seed) for name in ("hold", "geort") for seed in range(3)]
+    for row in table(frame_of(rows), ["hold", "geort"]).to_dict("records"):
+        assert (row["trials"], row["errors"], row["success"].text(), row["won"]) == (0, 3, "–", 0)
+        assert row["time"].text() == row["difference"].text() == "–" and np.isnan(row["p"])
+
+
+def report_of(folder, lines, methods=("hold", "geort")) -> str:
+    """The report of a folder with these lines of trials.jsonl; every picture that it links exists."""
+    entry = {"source": "hold", "latency_s": None, "digests": []}
+    settings = Settings(methods=dict.fromkeys(methods, entry))
+    (folder / "settings.json").write_text(json.dumps(dataclasses.asdict(settings)))
+    (folder / "trials.jsonl").write_text("\n".join(lines))
+    json.dumps(write_report(folder).to_json())
+    text = (folder / "report.md").read_text()
+    for link in re.findall(r"\((\w+\.svg)\)", text):
+        assert (folder / link).is_file()
+    return text
+
+
+def test_reports_of_unfinished_and_failed_benchmarks_say_so(tmp_path):
+    half = '{"method": "ho'
+    assert "no trial with a result" in report_of(tmp_path, [half])
+    raised = [json.dumps(error(name)) for name in ("hold", "geort")]
+    assert "not counted: 2" in (text := report_of(tmp_path, raised)) and "| geort | 0 | – |" in text
+    failed = [json.dumps(trial(name, seed=s, time=None)) for name in ("hold", "geort") for s in range(3)]
+    assert "| geort | 3 | 0 [0, 86] |" in (text := report_of(tmp_path, [*failed, half])) and "0 : 0" in text
+    varied = [json.dumps(trial(seed=s, condition="operator.visual_delay=1")) for s in range(3)]
+    assert "(varied.svg)" in (text := report_of(tmp_path, varied, ["hold"])) and "(success.svg)" not in text
+    assert r"| a\|b.py | 1 | 100 |" in report_of(tmp_path, [json.dumps(trial("a|b.py"))], ["a|b.py"])
 
 
 def paired(outcomes, trainings=1):

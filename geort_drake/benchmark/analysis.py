@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.stats import binomtest
 from scipy.stats import t as student
 
-from geort_drake.benchmark.log import Row
+from geort_drake.benchmark.log import RESULT, Row
 
 LEVEL = 0.95
 # What makes two trials of different methods a pair.
@@ -42,11 +42,12 @@ def frame_of(rows: Iterable[Row]) -> pd.DataFrame:
     Trials that raised an error have it in the column `error`, and no result.
     """
     frame = pd.DataFrame(list(rows))
-    for column, missing in (("error", None), ("attainable", True), ("first_attempt", None), ("faults", None)):
+    # Of a benchmark whose trials all raised an error, no row has any result.
+    columns = {name: None for name in (*RESULT, "error", "first_attempt", "faults", "operator_phase")}
+    for column, missing in (columns | {"attainable": True}).items():
         if column not in frame:
             frame[column] = missing
-    if "success" in frame:
-        frame["time"] = frame["completion_time"].where(frame["success"] == True, frame["timeout"])  # noqa: E712
+    frame["time"] = frame["completion_time"].where(frame["success"] == True, frame["timeout"])  # noqa: E712
     return frame
 
 
@@ -94,13 +95,16 @@ def variance(values: np.ndarray, clusters: Sequence[np.ndarray]) -> tuple[float,
 
 
 def mean_interval(values: np.ndarray, clusters: Sequence[np.ndarray]) -> Interval:
-    """Returns the mean of values and its t interval; see `variance`."""
-    if len(values) < 2:
+    """Returns the mean of values and its t interval, see `variance`; equal values have none.
+
+    The interval is at least that of independent values, because deviations may happen to cancel within every
+    cluster.
+    """
+    if len(values) < 2 or np.ptp(values) == 0:
         return Interval(float(np.mean(values)) if len(values) else np.nan, np.nan, np.nan)
-    mean, (spread, df) = float(values.mean()), variance(values, clusters)
-    if spread == 0:
-        return Interval(mean, np.nan, np.nan)
-    half = float(student.ppf(0.5 + LEVEL / 2, df) * np.sqrt(spread))
+    estimates = [variance(values, clusters), variance(values, [])]
+    half = max(float(student.ppf(0.5 + LEVEL / 2, df) * np.sqrt(spread)) for spread, df in estimates)
+    mean = float(values.mean())
     return Interval(mean, mean - half, mean + half)
 
 
@@ -109,14 +113,15 @@ def bounded_interval(values: np.ndarray, clusters: Sequence[np.ndarray]) -> Inte
 
     Wilson's interval takes the number of successes and failures whose rate would have the estimated variance,
     and Student's quantile (Dean and Pagano 2015, J. Surv. Stat. Methodol. 3, 484–503). The variance is at
-    least that of independent values.
+    least that of independent values; equal values, which have none, count as independent successes and
+    failures.
     """
     n = len(values)
     if n < 2:
         return Interval(float(np.mean(values)) if n else np.nan, np.nan, np.nan)
     p, (spread, df) = float(values.mean()), variance(values, clusters)
     spread = max(spread, float(values.var()) / n)
-    effective = p * (1 - p) / spread if spread > 0 else n
+    effective = p * (1 - p) / spread if np.ptp(values) > 0 else n
     square = float(student.ppf(0.5 + LEVEL / 2, df)) ** 2
     width = 1 + square / effective
     centre = (p + square / (2 * effective)) / width
@@ -203,9 +208,8 @@ def table(frame: pd.DataFrame, methods: Sequence[str]) -> pd.DataFrame:
         }
         if pairs is not None and len(pairs):
             differences = pairs["difference"].to_numpy(float)
-            row["difference"] = mean_interval(
-                differences, [pairs[name].to_numpy() for name in ("object", "person")]
-            )
+            mean, low, high = mean_interval(differences, [pairs[name] for name in ("object", "person")])
+            row["difference"] = Interval(mean, *np.clip((low, high), -1.0, 1.0).tolist())
             row["won"], row["lost"], row["p"] = sign_test(differences)
         rows.append(row)
     result = pd.DataFrame(rows)

@@ -11,6 +11,7 @@ from geort_drake.errors import BenchmarkError
 from geort_drake.files import finite_json, lock, writing
 
 TRIALS = "trials.jsonl"
+RESULT = ("success", "score", "completion_time", "timeout", "outcome")  # fields of a row without an error
 Row = dict[str, Any]
 
 
@@ -79,7 +80,7 @@ def _parse(line: bytes) -> Row | None:
         hash(key_of(row))
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    return row if "error" in row or {"success", "score", "completion_time", "timeout"} <= row.keys() else None
+    return row if "error" in row or row.keys() >= set(RESULT) else None
 
 
 class TrialLog:

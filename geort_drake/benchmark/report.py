@@ -99,21 +99,27 @@ def read_report(folder: Path) -> Report:
 
 def write_report(folder: Path) -> Report:
     """Writes the report of the finished trials in a benchmark's folder, and returns its figures."""
-    report = read_report(folder)
-    for name, draw in ((SUCCESS, _draw_success), (COMPLETION, _draw_completion), (VARIED, _draw_varied)):
+    report, links = read_report(folder), []
+    for name, title, draw in (
+        (SUCCESS, "Success by method, with intervals", _draw_success),
+        (COMPLETION, "Fraction of trials completed over time", _draw_completion),
+        (VARIED, "Success in changed scenarios", _draw_varied),
+    ):
         with mpl.rc_context(STYLE):
             figure = draw(report)
         if figure is not None:
+            links.append(f"![{title}]({name})")
             with atomic_path(folder / name) as path:
                 figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
-    write_text(folder / REPORT, _markdown(report))
+    write_text(folder / REPORT, _markdown(report, links))
     return report
 
 
 def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Formats a table in Markdown; all columns but the first contain numbers."""
     lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+    escaped = [[cell.replace("|", r"\|") for cell in line] for line in lines]
+    return "\n".join(f"| {' | '.join(line)} |" for line in escaped)
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
@@ -139,7 +145,7 @@ HEADINGS = (
 )  # fmt: skip
 
 
-def _markdown(report: Report) -> str:
+def _markdown(report: Report, links: Sequence[str]) -> str:
     settings, parts = report.settings, ["# Benchmark", _MEANING]
     if report.errors:
         failed = report.frame[report.frame["error"].notna()]
@@ -154,10 +160,7 @@ def _markdown(report: Report) -> str:
         parts += [f"## {title}", markdown_table(HEADINGS, rows)]
         if not condition:
             parts += _details(report, (task, kind, condition))
-    parts += [f"## Figures\n\n![Success by method, with intervals]({SUCCESS})"]
-    parts += [f"![Fraction of trials completed over time]({COMPLETION})"]
-    if any(condition for _, _, condition in report.tables):
-        parts += [f"![Success in changed scenarios]({VARIED})"]
+    parts += ["## Figures", *links] if links else ["There is no trial with a result yet."]
     version = settings.provenance.get("versions", {}).get("geort_drake")
     commit = (settings.provenance.get("git") or {}).get("commit", "unknown")
     latencies = "those of the scenarios"
@@ -198,7 +201,7 @@ def _details(report: Report, group: tuple[str, str, str]) -> list[str]:
 def _unique(frame: pd.DataFrame, column: str) -> Iterable[tuple]:
     """Returns the distinct values of a column with the number of rows, and the method that had them."""
     for (method, value), group in frame.groupby(["method", column], sort=False):
-        yield method, f"{len(group)} trials", value
+        yield method, f"{len(group)} {'trial' if len(group) == 1 else 'trials'}", value
 
 
 def _panels(report: Report) -> list[tuple[str, str, str]]:
