@@ -19,13 +19,16 @@ from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
-from geort_drake.retargeting.universal.batches import TrainingPeople, tips_and_directions
-from geort_drake.retargeting.universal.losses import DistalDirections
+from geort_drake.retargeting.universal.losses import DistalDirections, UniversalSettings
 from geort_drake.retargeting.universal.mirror import mirrored_map
 from geort_drake.retargeting.universal.network import UniversalNetwork
 from geort_drake.retargeting.universal.person import hand_shape
-from geort_drake.retargeting.universal.settings import UniversalSettings
-from geort_drake.retargeting.universal.train import affine_size, train_universal
+from geort_drake.retargeting.universal.train import (
+    TrainingPeople,
+    affine_size,
+    tips_and_directions,
+    train_universal,
+)
 
 QUICK = UniversalSettings(steps=150, people=12, play_s=8.0, robot_samples=4000, people_per_batch=8)
 UNSEEN = 9_000  # seed of people whom no training has seen
@@ -63,9 +66,8 @@ def test_a_persons_map_is_the_network_with_their_shape(fingers):
     generator, kinematics = torch.Generator().manual_seed(0), toy_kinematics(fingers)
     shape = torch.tensor(hand_shape(play(0), fingers))
     shapes = shape * (1.0 + 0.05 * torch.randn(50, len(shape), generator=generator))
-    pairs = [(fingers.index("thumb"), other) for other, name in enumerate(fingers) if name != "thumb"]
     p_HF = torch.tensor(tips_and_directions(play(0), fingers)[0], dtype=torch.float32).expand(50, -1, -1, -1)
-    network = UniversalNetwork(kinematics, shapes, p_HF, pairs, (64, 128, 48), generator)
+    network = UniversalNetwork(kinematics, shapes, p_HF, (64, 128, 48), generator)
     with torch.no_grad():
         for parameter in network.parameters():
             parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))

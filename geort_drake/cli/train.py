@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     import numpy as np
 
     from geort_drake.hands.hand import Hand
+    from geort_drake.retargeting.universal.losses import UniversalSettings
     from geort_drake.retargeting.universal.person import UniversalRetargeter
-    from geort_drake.retargeting.universal.settings import UniversalSettings
 
 
 @options
@@ -132,8 +132,8 @@ class Train(Command):
         from geort_drake.console import print_table, say
         from geort_drake.errors import GeortError
         from geort_drake.people.synthetic.population import sample_population
+        from geort_drake.retargeting.universal.losses import UniversalSettings
         from geort_drake.retargeting.universal.person import UniversalRetargeter
-        from geort_drake.retargeting.universal.settings import UniversalSettings
         from geort_drake.settings import parse_settings
 
         if self.recording is not None:

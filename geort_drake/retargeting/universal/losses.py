@@ -2,26 +2,175 @@
 
 The objective is posture. Each constraint is a differentiable loss and a figure; its bound applies to the
 figure. Distances of robot fingertips are in units of the fingertip radius, so that small hands close their
-pinches.
+pinches. `UniversalSettings` has the bounds, and all other constants of the training.
 """
 
+import dataclasses
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch.nn.functional import cosine_similarity
 
+from geort_drake.errors import TrainingError
 from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.kinematics import fingertips
-from geort_drake.retargeting.universal.batches import Hands, of_finger
-from geort_drake.retargeting.universal.settings import UniversalSettings
+from geort_drake.retargeting.universal.person import thumb_and_others
 
 # Of robot fingertips in contact, in tip radii: their centres are two radii apart.
 TOUCH = 2.0
 # Maps hands (G, N, F, 3), m, of G people with shapes (G, 4F), m, to joint angles (G, N, n), rad.
 Network = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+CONSTRAINTS = (
+    "direction", "track", "cross_talk", "size", "open_pinch", "deep_pinch", "false_pinch", "collision",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class UniversalSettings:
+    """All constants of the training, with their reasons. Lengths are in m unless a field says otherwise.
+
+    The first eight bounds apply to running means over training hands, many of which are harder than recorded
+    ones. Bounds that exclude each other are exceeded; then `multiplier_bounds` weighs them.
+    """
+
+    steps: int = 10_000  # gradient steps, which take nine minutes on one core
+    people: int = 400  # hands of the population, so many that the shapes between them are interpolated
+    play_s: float = 40.0  # length of each person's play, s, in which most people make all their movements
+    # Bounds of the constraints:
+    direction: float = 0.030  # 1 − mean cosine between motions of human and robot fingertips
+    track: float = 0.030  # the same for recorded steps, in which all fingers move
+    cross_talk: float = 0.040  # mean motion of the other fingertips over that of the moved one
+    size: float = 0.35  # fraction of motions with a gain outside the band; at a half, its edge is the median
+    open_pinch: float = 0.010  # fraction of pinches in which the robot's fingertips do not touch
+    deep_pinch: float = 0.010  # fraction of pinches in which they overlap by most of their diameter
+    false_pinch: float = 0.001  # fraction of pairs that touch although the person's are apart
+    collision: float = 0.001  # fraction of hands in which links overlap by `collision_depth_m`
+    # The objective:
+    # From 10 to 5, motion preservation gains 0.002, and the angle loses 4° in the median and 14° at p90.
+    posture_weight: float = 8.0
+    posture_first: float = 4.0  # factor on it at first, because fingers keep a wrong posture once formed
+    posture_first_share: float = 0.12  # fraction of the steps in which this factor falls to 1
+    # Size:
+    # Quantile of the affine fits of all people, which stands for those who use their range most, because the
+    # shape of a hand does not tell how far its owner moves it.
+    size_quantile: float = 0.05
+    gain_band: tuple[float, float] = (-0.22, 0.5)  # log of gain over that fit's: 20 % below to 65 % above
+    least_cosine: float = 0.3  # of a motion that a fingertip with one or two joints can follow
+    # Pinches, with robot distances in fingertip radii, of which contact takes two:
+    pinch_target: float = 0.875  # distance at which pinches aim, so that noise does not open them
+    pinch_scale: float = 0.667  # distance from the target at which the loss turns from quadratic to linear
+    deep: float = 0.333  # distance below which fingertips overlap by most of their diameter
+    deep_margin: float = 0.5  # distance at which the loss of deep pinches begins
+    false_margin: float = 0.25  # distance beyond contact at which the loss of false pinches begins
+    depth_scale: float = 0.4  # unit of the depths of deep and false pinches
+    apart_m: tuple[float, float] = (0.027, 0.030)  # human distances that the loss and the figure call apart
+    # Self-collision:
+    collision_near_m: float = 0.003  # gap below which pairs of links are examined
+    collision_margin_m: float = 0.001  # gap that is wanted
+    collision_depth_m: float = 0.002  # overlap that counts
+    collision_scale_m: float = 0.0025  # unit of the loss
+    collision_jitter_m: float = 0.004  # deviation of remembered fingertips, so that their surroundings count
+    collision_every: int = 3  # steps from one loss to the next; one costs half a step
+    collision_search_every: int = 20  # steps from one search to the next; one costs a step
+    remembered_collisions: int = 4000  # hands; older ones are forgotten
+    drawn_collisions: int = 64  # hands per loss
+    # Batches:
+    people_per_batch: int = 12  # a few, because the gradients of others average out over steps
+    moved: int = 20  # hands of each person with one moved fingertip
+    steps_per_person: int = 12  # recorded steps of each
+    pinches: int = 8  # recorded pinches of each; as many again are synthetic
+    step_m: tuple[float, float] = (0.001, 0.011)  # motions of one fingertip, as in evaluations
+    step_range_m: tuple[float, float] = (0.001, 0.03)  # recorded steps: shorter are noise, longer are gaps
+    step_lags: tuple[int, ...] = (1, 2, 3)  # frames between both hands of a step
+    anchors: int = 400  # frames per person and finger, uniform over the finger's places
+    anchor_voxel_m: float = 0.002  # edge of such a place
+    shapes_per_person: int = 8  # shapes of all frames, of one, and of windows of random lengths
+    mixed: float = 0.35  # fraction of moved hands whose other fingers are from other frames
+    spread: float = 0.3  # fraction of hands whose fingertips are displaced, because play leaves gaps
+    spread_m: float = 0.006  # standard deviation of these displacements
+    pinch_reach_m: float = 0.035  # fingertips closer than this are moved together in synthetic pinches
+    pinch_spread_m: float = 0.005  # standard deviation of synthetic pinches from recorded ones
+    # Network:
+    finger_units: int = 64  # width of both hidden layers of a finger
+    residual_units: int = 128  # width of both hidden layers of the residual
+    shape_units: int = 48  # width of both layers that process the shape
+    # Descent:
+    learning_rate: float = 0.003  # of SOAP; falls to zero along half a cosine
+    warm_up: int = 100  # steps in which the learning rate rises
+    weight_decay: float = 0.01  # three times as much for parts that see combinations
+    momentum: tuple[float, float] = (0.95, 0.99)  # high, because gradients differ between people
+    clip: float = 2.0  # largest norm of a gradient
+    averaged_steps: int = 90  # time constant of the average of the weights
+    multiplier_start: float = 1.0  # of every constraint
+    multiplier_rate: float = 0.006  # change of its logarithm per step at twice the bound
+    # The same of collision, whose loss is on hands chosen because they collide; a fast multiplier would drown
+    # all other losses.
+    collision_rate: float = 0.0006
+    multiplier_bounds: tuple[float, float] = (0.1, 30.0)  # limits of a multiplier
+    figure_averaging: float = 0.02  # weight of a batch in the running mean of a figure
+    robot_samples: int = 60_000  # joint angles whose fingertips make up the robot's workspace
+
+    def refined(self) -> "UniversalSettings":
+        """Returns the settings of a second, shorter training, which continues from the first.
+
+        The first leaves three times as many collisions as their bound allows. The second searches them more
+        often, weighs them more, and starts with large multipliers, so that no criterion is lost meanwhile.
+        """
+        return dataclasses.replace(
+            self,
+            steps=max(self.steps // 4, 1),
+            learning_rate=self.learning_rate / 3.0,
+            multiplier_start=20.0,
+            posture_first=1.0,
+            posture_weight=0.75 * self.posture_weight,
+            size=1.2 * self.size,
+            open_pinch=0.5 * self.open_pinch,
+            collision=0.5 * self.collision,
+            collision_rate=5.0 * self.collision_rate,
+            collision_every=2,
+            drawn_collisions=96,
+        )
+
+    def validate(self) -> None:
+        """Raises TrainingError if a setting is out of range."""
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int | float) and not value > 0:
+                raise TrainingError(f"training: {field.name} must be positive, it is {value}")
+
+
+@dataclass(frozen=True)
+class Hands:
+    """A batch of hands of G people: fingertips (G, ·, F, 3) in H, m.
+
+    Attributes:
+        shapes: (G, 4F) shapes of the people's hands, m.
+        moved: hands whose finger `finger` (G, ·) moves by d (G, ·, 3), m.
+        before, after: hands at the beginning and the end of recorded steps.
+        pinching: hands whose thumb and another finger, of the numbers `pinch_pair` (G, ·) among the others,
+            meet where `pinched` (G, ·) is true.
+        directions: directions (G, ·, F, 3) of the distal bones in `seen`.
+    """
+
+    shapes: torch.Tensor
+    moved: torch.Tensor
+    finger: torch.Tensor
+    d: torch.Tensor
+    before: torch.Tensor
+    after: torch.Tensor
+    pinching: torch.Tensor
+    pinch_pair: torch.Tensor
+    pinched: torch.Tensor
+    directions: torch.Tensor
+
+    @property
+    def seen(self) -> torch.Tensor:
+        """(G, ·, F, 3) the hands whose pinches, collisions and posture count."""
+        return torch.cat([self.moved, self.after, self.pinching], 1)
 
 
 class DistalDirections:
@@ -42,28 +191,21 @@ class Criteria:
 
     Args:
         kinematics: kinematics of the robot hand.
-        pairs: pairs of finger numbers that pinch.
         size: (F,) the robot's motion over the person's, times the length of the person's finger, m; see
             `train.affine_size`.
         settings: weights and scales.
     """
 
-    def __init__(
-        self,
-        kinematics: HandKinematics,
-        pairs: Sequence[tuple[int, int]],
-        size: torch.Tensor,
-        settings: UniversalSettings,
-    ):
+    def __init__(self, kinematics: HandKinematics, size: torch.Tensor, settings: UniversalSettings):
         self._kinematics, self._settings, self._size = kinematics, settings, size
-        self._first, self._second = (list(side) for side in zip(*pairs, strict=True))
+        self._thumb, self._others = thumb_and_others(kinematics.finger_names)
         self._directions = DistalDirections(kinematics)
         few = [len(chain.joint_names) < 3 for chain in kinematics.fingers]
         self._few_joints = torch.tensor(few, device=size.device)
 
     def pair_distances(self, points: torch.Tensor) -> torch.Tensor:
-        """Returns distances (..., P) of pinching pairs of fingertips (..., F, 3); gradients are finite."""
-        d = points[..., self._first, :] - points[..., self._second, :]
+        """Returns distances (..., F − 1) of fingertips (..., F, 3) from the thumb's; gradients are finite."""
+        d = points[..., [self._thumb], :] - points[..., self._others, :]
         return torch.sqrt(d.square().sum(-1) + 1e-10)
 
     def __call__(
@@ -152,8 +294,7 @@ class NearCollisions:
 
     def __init__(self, gaps: CollisionGaps, settings: UniversalSettings, generator: torch.Generator):
         self._gaps, self._settings, self._generator = gaps, settings, generator
-        self.hands: torch.Tensor | None = None
-        self.shapes: torch.Tensor | None = None
+        self.remembered: list[torch.Tensor] = []  # hands (M, F, 3), m, and their shapes (M, 4F), m
 
     @torch.no_grad()
     def search(self, network: Network, hands: Hands) -> torch.Tensor:
@@ -163,12 +304,11 @@ class NearCollisions:
         q = network(seen, hands.shapes)
         least = self._gaps.least(q.flatten(0, 1), settings.collision_near_m)
         near = least < margin + 0.5 * depth
-        shapes = hands.shapes[:, None].expand(-1, seen.shape[1], -1).flatten(0, 1)[near]
-        seen = seen.flatten(0, 1)[near]
-        if self.hands is not None and self.shapes is not None:
-            seen, shapes = torch.cat([seen, self.hands]), torch.cat([shapes, self.shapes])
-        self.hands = seen[: settings.remembered_collisions]
-        self.shapes = shapes[: settings.remembered_collisions]
+        shapes = hands.shapes[:, None].expand(-1, seen.shape[1], -1)
+        new = [each.flatten(0, 1)[near] for each in (seen, shapes)]
+        if self.remembered:
+            new = [torch.cat(pair) for pair in zip(new, self.remembered, strict=True)]
+        self.remembered = [each[: settings.remembered_collisions] for each in new]
         first = hands.moved.shape[1]
         recorded = least.reshape(len(q), -1)[:, first : first + hands.after.shape[1]]
         return (recorded < -depth).float().mean()
@@ -177,12 +317,12 @@ class NearCollisions:
         """Returns the mean depth beyond the margin; None while few hands are remembered."""
         settings = self._settings
         count = settings.drawn_collisions
-        if self.hands is None or self.shapes is None or len(self.hands) < count:
+        if not self.remembered or len(self.remembered[0]) < count:
             return None
-        chosen = torch.randint(len(self.hands), (count,), generator=self._generator)
-        hands = self.hands[chosen]
+        chosen = torch.randint(len(self.remembered[0]), (count,), generator=self._generator)
+        hands, shapes = (each[chosen] for each in self.remembered)
         noise = torch.randn(hands.shape, generator=self._generator).to(hands.device)
-        q = network((hands + settings.collision_jitter_m * noise)[:, None], self.shapes[chosen])[:, 0]
+        q = network((hands + settings.collision_jitter_m * noise)[:, None], shapes)[:, 0]
         row, pair, gap = self._gaps.near(q.detach(), settings.collision_near_m)
         near = gap < settings.collision_near_m
         margin = settings.collision_margin_m
@@ -237,3 +377,8 @@ def _mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
 
 def _same_figure(loss: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return loss, loss
+
+
+def of_finger(x: torch.Tensor, finger: torch.Tensor) -> torch.Tensor:
+    """Selects from x (G, N, F, ·) the finger (G, N) of each hand: (G, N, ·)."""
+    return x.gather(2, finger[..., None, None].expand(-1, -1, 1, x.shape[-1]))[:, :, 0]

@@ -1,7 +1,7 @@
 """The network of the universal map in torch; `person.UniversalRetargeter` is the same in NumPy."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -10,7 +10,8 @@ from torch.nn.functional import silu
 
 from geort_drake.errors import TrainingError
 from geort_drake.hands.kinematics import HandKinematics
-from geort_drake.retargeting.universal.person import MAX_DEVIATION, PAIR_UNIT
+from geort_drake.retargeting.kinematics import add_buffers
+from geort_drake.retargeting.universal.person import MAX_DEVIATION, PAIR_UNIT, thumb_and_others
 
 
 class UniversalNetwork(nn.Module):
@@ -35,7 +36,6 @@ class UniversalNetwork(nn.Module):
         kinematics: HandKinematics,
         shapes: torch.Tensor,
         p_HF: torch.Tensor,
-        pairs: Sequence[tuple[int, int]],
         widths: tuple[int, int, int],
         generator: torch.Generator,
     ):
@@ -45,7 +45,6 @@ class UniversalNetwork(nn.Module):
             kinematics: kinematics of the robot hand.
             shapes: (N, 4F) shapes of people's hands, m; see `person.hand_shape`.
             p_HF: (N, T, F, 3) their fingertips, m.
-            pairs: pairs of finger numbers that pinch.
             widths: of the hidden layers of a finger, of the residual, and of those that process the shape.
             generator: draws the initial weights.
         """
@@ -56,76 +55,79 @@ class UniversalNetwork(nn.Module):
         for number, finger in enumerate(kinematics.fingers):
             for i, joint in enumerate(finger.joint_indices):
                 self.columns[joint] = number * k + i
-        self._first, self._second = (list(side) for side in zip(*pairs, strict=True))
+        self._thumb, self._others = thumb_and_others(kinematics.finger_names)
         x = relative_to_knuckles(p_HF, shapes).flatten(0, 1)
-        constants = {
-            "shape_mean": shapes.mean(0),
-            "shape_deviation": shapes.std(0) + 1e-6,
-            "input_mean": x.mean(0),
-            "input_scale": x.std(0),
-            "centre": torch.tensor(0.5 * (kinematics.upper + kinematics.lower)).float(),
-            "half_range": torch.tensor(0.5 * (kinematics.upper - kinematics.lower)).float(),
-        }
-        for name, value in constants.items():
-            self.register_buffer(name, value)
+        add_buffers(
+            self,
+            shape_mean=shapes.mean(0),
+            shape_deviation=shapes.std(0) + 1e-6,
+            input_mean=x.mean(0),
+            input_scale=x.std(0),
+            centre=0.5 * (kinematics.upper + kinematics.lower),
+            half_range=0.5 * (kinematics.upper - kinematics.lower),
+        )
 
-        def normal(*shape: int) -> nn.Parameter:
-            return nn.Parameter(torch.randn(shape, generator=generator) / math.sqrt(shape[-2]))
+        def normal(*shape: int) -> torch.Tensor:
+            return torch.randn(shape, generator=generator) / math.sqrt(shape[-2])
 
-        def zeros(*shape: int) -> nn.Parameter:
-            return nn.Parameter(torch.zeros(shape))
-
-        h, r, m = widths
-        inputs = 3 * F + 3 * len(pairs)
-        self.weights = nn.ParameterList([normal(F, 3, h), normal(F, h, h), normal(F, h, k)])
-        self.biases = nn.ParameterList([zeros(F, 1, h), zeros(F, 1, h), zeros(F, 1, k)])
-        self.residual_weights = nn.ParameterList([normal(inputs, r), normal(r, r), zeros(r, F * k)])
-        self.residual_biases = nn.ParameterList([zeros(1, r), zeros(1, r), zeros(1, F * k)])
-        self.shape_weights = nn.ParameterList([normal(4 * F, m), normal(m, m)])
-        self.shape_biases = nn.ParameterList([zeros(1, m), zeros(1, m)])
+        zeros, (h, r, m) = torch.zeros, widths
+        inputs = 3 * F + 3 * len(self._others)
+        # By the names of files, see `UniversalRetargeter`.
+        p = self.p = nn.ParameterDict()
+        p["weight0"], p["weight1"], p["weight2"] = normal(F, 3, h), normal(F, h, h), normal(F, h, k)
+        p["bias0"], p["bias1"], p["bias2"] = zeros(F, 1, h), zeros(F, 1, h), zeros(F, 1, k)
+        p["residual_weight0"], p["residual_weight1"] = normal(inputs, r), normal(r, r)
+        p["residual_weight2"] = zeros(r, F * k)
+        p["residual_bias0"], p["residual_bias1"], p["residual_bias2"] = (
+            zeros(1, r),
+            zeros(1, r),
+            zeros(1, F * k),
+        )
+        p["shape_weight0"], p["shape_weight1"] = normal(4 * F, m), normal(m, m)
+        p["shape_bias0"], p["shape_bias1"] = zeros(1, m), zeros(1, m)
         # The affine map of the inputs; gain and offset of layers 0 and 1; gain and offset of the residual.
-        self.person_weights = nn.ParameterList([zeros(m, 12 * F), zeros(4 * F, m, h), zeros(2, m, r)])
-        self.person_biases = nn.ParameterList([zeros(1, 12 * F), zeros(4 * F, 1, h), zeros(2, 1, r)])
+        p["input_weight"], p["modulation_weight"] = zeros(m, 12 * F), zeros(4, F, m, h)
+        p["residual_modulation_weight"] = zeros(2, m, r)
+        p["input_bias"], p["modulation_bias"] = zeros(1, 12 * F), zeros(4, F, 1, h)
+        p["residual_modulation_bias"] = zeros(2, 1, r)
 
     def groups(self, weight_decay: float) -> list[dict]:
         """Returns parameter groups for an optimiser; parts that see combinations decay faster."""
-        of_fingers = [*self.weights, *self.biases]
-        shared = [
-            parameter for parameter in self.parameters() if all(parameter is not one for one in of_fingers)
-        ]
+        fingers = [value for name, value in self.p.items() if "_" not in name]
+        shared = [value for name, value in self.p.items() if "_" in name]
         return [
-            {"params": of_fingers, "weight_decay": weight_decay},
+            {"params": fingers, "weight_decay": weight_decay},
             {"params": shared, "weight_decay": 3.0 * weight_decay},
         ]
 
     def forward(self, p_HF: torch.Tensor, shapes: torch.Tensor) -> torch.Tensor:
         """Computes joint angles (G, N, n), rad, for fingertips (G, N, F, 3), m, and shapes (G, 4F), m."""
-        G, N, F, _ = p_HF.shape
+        p, (G, N, F, _) = self.p, p_HF.shape
         z = ((shapes - self.shape_mean) / self.shape_deviation).clamp(-MAX_DEVIATION, MAX_DEVIATION)
-        for weight, bias in zip(self.shape_weights, self.shape_biases, strict=True):
-            z = silu(torch.addmm(bias, z, weight))
+        for k in range(2):
+            z = silu(torch.addmm(p[f"shape_bias{k}"], z, p[f"shape_weight{k}"]))
         affine, modulation, shared = (
-            z @ weight + bias for weight, bias in zip(self.person_weights, self.person_biases, strict=True)
+            z @ p[f"{part}_weight"] + p[f"{part}_bias"]
+            for part in ("input", "modulation", "residual_modulation")
         )
         A, b = affine.split([9 * F, 3 * F], dim=-1)
-        modulation = modulation.reshape(4, F, G, 1, -1)
+        modulation = modulation[..., None, :]
         x = (relative_to_knuckles(p_HF, shapes) - self.input_mean) / self.input_scale
         # Fingers first: (F, G, N, ·).
         x = x.permute(2, 0, 1, 3)
         x = x + x @ A.reshape(G, F, 3, 3).transpose(0, 1) + b.reshape(G, F, 1, 3).transpose(0, 1)
         y = x.reshape(F, G * N, 3)
-        for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            y = torch.baddbmm(bias, y, weight)
-            if layer < 2:
-                gain, offset = modulation[2 * layer], modulation[2 * layer + 1]
-                y = silu(torch.addcmul(offset, y.reshape(F, G, N, -1), 1.0 + gain)).reshape(F, G * N, -1)
-        d = (p_HF[:, :, self._first] - p_HF[:, :, self._second]) / PAIR_UNIT
+        for k in range(2):
+            y = torch.baddbmm(p[f"bias{k}"], y, p[f"weight{k}"]).reshape(F, G, N, -1)
+            gain, offset = modulation[2 * k], modulation[2 * k + 1]
+            y = silu(torch.addcmul(offset, y, 1.0 + gain)).reshape(F, G * N, -1)
+        y = torch.baddbmm(p["bias2"], y, p["weight2"])
+        d = (p_HF[:, :, [self._thumb]] - p_HF[:, :, self._others]) / PAIR_UNIT
         u = torch.cat([x.permute(1, 2, 0, 3).flatten(2), d.flatten(2)], dim=-1)
-        weights, biases = self.residual_weights, self.residual_biases
-        u = torch.addmm(biases[0], u.flatten(0, 1), weights[0]).reshape(G, N, -1)
+        u = torch.addmm(p["residual_bias0"], u.flatten(0, 1), p["residual_weight0"]).reshape(G, N, -1)
         u = silu(torch.addcmul(shared[1][:, None], u, 1.0 + shared[0][:, None]))
-        u = silu(torch.addmm(biases[1], u.flatten(0, 1), weights[1]))
-        u = torch.addmm(biases[2], u, weights[2])
+        u = silu(torch.addmm(p["residual_bias1"], u.flatten(0, 1), p["residual_weight1"]))
+        u = torch.addmm(p["residual_bias2"], u, p["residual_weight2"])
         y = y.transpose(0, 1).reshape(G * N, -1) + u
         q = self.centre + self.half_range * torch.tanh(y[:, self.columns])
         return q.reshape(G, N, -1)
@@ -151,26 +153,11 @@ class UniversalNetwork(nn.Module):
             value.copy_(torch.as_tensor(arrays[name]))
 
     def _tensors(self) -> dict[str, torch.Tensor]:
-        """Views of the weights and constants, by the names of arrays."""
-        tensors: dict[str, torch.Tensor] = {
-            name: getattr(self, name)
-            for name in ("shape_mean", "shape_deviation", "input_mean", "input_scale")
-        }
-        F = len(self.weights[0])
-        for number in range(3):
-            tensors[f"weight{number}"], tensors[f"bias{number}"] = self.weights[number], self.biases[number]
-            tensors[f"residual_weight{number}"] = self.residual_weights[number]
-            tensors[f"residual_bias{number}"] = self.residual_biases[number][0]
-        for number in range(2):
-            tensors[f"shape_weight{number}"] = self.shape_weights[number]
-            tensors[f"shape_bias{number}"] = self.shape_biases[number][0]
-        affine, modulation, shared = self.person_weights
-        affine_bias, modulation_bias, shared_bias = self.person_biases
-        tensors["input_weight"], tensors["input_bias"] = affine, affine_bias[0]
-        tensors["modulation_weight"] = modulation.unflatten(0, (4, F))
-        tensors["modulation_bias"] = modulation_bias[:, 0].unflatten(0, (4, F))
-        tensors["residual_modulation_weight"], tensors["residual_modulation_bias"] = shared, shared_bias[:, 0]
-        return tensors
+        """Returns views of the constants and weights, in the shapes of files."""
+        constants = ("shape_mean", "shape_deviation", "input_mean", "input_scale")
+        # In files, only the biases of fingers have an axis for the hands of a batch.
+        weights = {name: value.squeeze(-2) if "_bias" in name else value for name, value in self.p.items()}
+        return {name: getattr(self, name) for name in constants} | weights
 
 
 def relative_to_knuckles(p_HF: torch.Tensor, shapes: torch.Tensor) -> torch.Tensor:

@@ -34,6 +34,12 @@ def hand_shape(p_HK: np.ndarray, finger_names: Sequence[str]) -> np.ndarray:
     return np.concatenate([knuckles.ravel(), np.median(bones, axis=0).sum(axis=1)]).astype(np.float32)
 
 
+def thumb_and_others(finger_names: Sequence[str]) -> tuple[int, list[int]]:
+    """Returns the number of the thumb and those of the other fingers."""
+    names = list(finger_names)
+    return names.index("thumb"), [number for number, name in enumerate(names) if name != "thumb"]
+
+
 class UniversalRetargeter(Retargeter):
     """Makes maps from the hands of any person to robot joint angles; needs only NumPy.
 

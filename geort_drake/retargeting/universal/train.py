@@ -5,7 +5,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -16,16 +16,26 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from geort_drake.errors import TrainingError
 from geort_drake.files import atomic_path
 from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
+from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT
+from geort_drake.people.recording import PINCH_M
 from geort_drake.people.synthetic.population import sample_population
+from geort_drake.retargeting.clouds import first_in_voxels
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.descent import device_of, one_thread
 from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.soap import Soap
-from geort_drake.retargeting.universal.batches import TrainingPeople
-from geort_drake.retargeting.universal.losses import TOUCH, Criteria, Multipliers, NearCollisions
+from geort_drake.retargeting.universal.losses import (
+    CONSTRAINTS,
+    TOUCH,
+    Criteria,
+    Hands,
+    Multipliers,
+    NearCollisions,
+    UniversalSettings,
+    of_finger,
+)
 from geort_drake.retargeting.universal.network import UniversalNetwork
-from geort_drake.retargeting.universal.person import UniversalRetargeter
-from geort_drake.retargeting.universal.settings import CONSTRAINTS, UniversalSettings
+from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_shape, thumb_and_others
 
 AVERAGE_EVERY = 5  # steps, within which weights hardly move
 SAVE_EVERY_S = 30.0
@@ -33,9 +43,147 @@ SAVE_EVERY_S = 30.0
 Report = Callable[[int, int, dict[str, float]], None]
 
 
-def _digest(kinematics: HandKinematics, seed: int) -> bytes:
-    q = np.linspace(kinematics.lower, kinematics.upper, 5)
-    return fingertips(kinematics, torch.tensor(q)).numpy().round(9).tobytes() + str(seed).encode()
+class TrainingPeople:
+    """People whose hands are drawn in batches with one generator.
+
+    Attributes:
+        shapes: (N, K, 4F) shapes of each person's hand, m, measured on different parts of their play.
+        p_HF: (N, T, F, 3) fingertips, m.
+        closable: (F − 1,) whether the robot's thumb can touch each other finger; no other pinch is asked for.
+    """
+
+    def __init__(
+        self,
+        p_HK: np.ndarray,
+        finger_names: Sequence[str],
+        settings: UniversalSettings,
+        generator: torch.Generator,
+        rng: np.random.Generator,
+        device: torch.device,
+    ):
+        """Takes keypoints p_HK (N, T, 21, 3), m; `rng` draws anchors and shapes, `generator` the batches."""
+        people, self._settings, self._generator, self._device = len(p_HK), settings, generator, device
+        thumb, others = thumb_and_others(finger_names)
+        self._thumb, self._others = thumb, torch.tensor(others, device=device)
+        p_HF, directions = tips_and_directions(p_HK, finger_names)
+        anchors = np.zeros((people, len(finger_names), settings.anchors), dtype=int)
+        for i, finger in np.ndindex(*anchors.shape[:2]):
+            rows = first_in_voxels(p_HF[i, :, finger], settings.anchor_voxel_m)
+            anchors[i, finger] = rng.choice(rows, settings.anchors)
+        shapes = [[hand_shape(part, finger_names) for part in self._parts(each, rng)] for each in p_HK]
+        self._anchors = torch.tensor(anchors, device=device)
+        self.shapes = torch.tensor(np.array(shapes), device=device)
+        self._hands = torch.tensor(np.concatenate([p_HF, directions], -1), dtype=torch.float32, device=device)
+        self.p_HF = self._hands[..., :3]
+        self.closable = torch.ones(len(others), dtype=torch.bool, device=device)
+        d = self.p_HF[:, :, [thumb]] - self.p_HF[:, :, others]
+        self._distance, self._pair = d.norm(dim=-1).min(-1)
+        self._pinching = [torch.nonzero(row < PINCH_M)[:, 0] for row in self._distance]
+        self._near = [torch.nonzero(row < settings.pinch_reach_m)[:, 0] for row in self._distance]
+
+    def _parts(self, p_HK: np.ndarray, rng: np.random.Generator) -> list[np.ndarray]:
+        """Draws parts of a play (T, 21, 3): the whole, a frame, and windows of log-uniform lengths."""
+        total, count = len(p_HK), self._settings.shapes_per_person
+        lengths = [total, 1, *np.exp(rng.uniform(0.0, np.log(total), max(count - 2, 0))).astype(int)][:count]
+        starts = [rng.integers(total - length + 1) for length in lengths]
+        return [p_HK[start : start + length] for start, length in zip(starts, lengths, strict=True)]
+
+    def draw(self) -> Hands:
+        """Draws a batch."""
+        s, (_, frames, fingers, _) = self._settings, self._hands.shape
+        people = self._below(len(self._hands), s.people_per_batch)
+        G, rows = len(people), people[:, None]
+        finger = self._below(fingers, G, s.moved)
+        moved = self._hands[rows, self._anchors[rows, finger, self._below(s.anchors, G, s.moved)]]
+        other = self._below(frames, G, s.moved, fingers)
+        other = self._hands[rows[..., None], other, torch.arange(fingers, device=self._device)]
+        mixed = (self._uniform(G, s.moved, 1) < s.mixed) & ~self._one_hot(finger)
+        moved = torch.where(mixed[..., None], other, moved)
+        least, most = s.step_m
+        d = torch.nn.functional.normalize(self._normal(G, s.moved, 3), dim=-1)
+        d = d * (least + (most - least) * self._uniform(G, s.moved, 1))
+        start = self._below(frames - max(s.step_lags), G, s.steps_per_person)
+        lags = torch.tensor(s.step_lags, device=self._device)
+        lag = lags[self._below(len(lags), G, s.steps_per_person)]
+        before, after = self._hands[rows, start], self._hands[rows, start + lag]
+        recorded = self._chosen(self._pinching, people)
+        synthetic, synthetic_rows = self._synthetic_pinches(people)
+        pinching = torch.cat([self._hands[rows, recorded], synthetic], 1)
+        chosen = torch.cat([recorded, synthetic_rows], 1)
+        pair, distance = self._pair[rows, chosen], self._distance[rows, chosen]
+        reach = torch.full_like(distance, s.pinch_reach_m)
+        reach[:, : s.pinches] = PINCH_M
+        seen = [moved, after, pinching]
+        offset = self._offset(G, sum(part.shape[1] for part in seen))
+        offset[:, -2 * s.pinches : -s.pinches] = 0.0  # recorded pinches stay as they are
+        moved_offset, step_offset, pinch_offset = offset.split([part.shape[1] for part in seen], dim=1)
+        # Synthetic pinches are displaced before their fingertips are brought together.
+        pinch_offset = torch.where(self._in_pair(pair)[..., None], 0.0, pinch_offset)
+        return Hands(
+            self.shapes[people, self._below(self.shapes.shape[1], G)],
+            moved=moved[..., :3] + moved_offset,
+            finger=finger,
+            d=d,
+            before=before[..., :3] + step_offset,
+            after=after[..., :3] + step_offset,
+            pinching=pinching[..., :3] + pinch_offset,
+            pinch_pair=pair,
+            pinched=(distance < reach) & self.closable[pair],
+            directions=torch.cat(seen, 1)[..., 3:],
+        )
+
+    def _synthetic_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Moves the nearest pair of hands together; the other fingers may be from other frames.
+
+        Returns the hands, and the frames (G, ·) of the pairs.
+        """
+        s, rows, shape = self._settings, people[:, None], (len(people), self._settings.pinches)
+        chosen = self._chosen(self._near, people)
+        hands, pair = self._hands[rows, chosen], self._pair[rows, chosen]
+        first, second = torch.full_like(pair, self._thumb), self._others[pair]
+        a, b = (of_finger(hands, finger) for finger in (first, second))
+        half = 0.5 * (b - a)[..., :3] + 0.002 * self._normal(*shape, 3)
+        length = half.norm(dim=-1, keepdim=True) + 1e-9
+        half = half * (0.5 * PINCH_M * self._uniform(*shape, 1) / length).clamp(max=1)
+        middle = 0.5 * (a + b)[..., :3] + s.pinch_spread_m * self._normal(*shape, 3)
+        elsewhere = self._hands[rows, self._below(self._hands.shape[1], *shape)]
+        hands = torch.where(self._uniform(*shape, 1, 1) < 0.5, elsewhere, hands)
+        for finger, point, direction in ((second, middle + half, b), (first, middle - half, a)):
+            new = torch.cat([point, direction[..., 3:]], -1)[:, :, None]
+            hands = torch.where(self._one_hot(finger)[..., None], new, hands)
+        return hands, chosen
+
+    def _chosen(self, candidates: Sequence[torch.Tensor], people: torch.Tensor) -> torch.Tensor:
+        """Draws frames (G, pinches) of each person's candidates, or of all if there are none."""
+        count = self._settings.pinches
+        rows = [
+            candidates[i][self._below(len(candidates[i]), count)]
+            if len(candidates[i])
+            else self._below(self._hands.shape[1], count)
+            for i in people.tolist()
+        ]
+        return torch.stack(rows)
+
+    def _in_pair(self, pair: torch.Tensor) -> torch.Tensor:
+        fingers = self._one_hot(self._others[pair])
+        fingers[..., self._thumb] = True
+        return fingers
+
+    def _offset(self, *shape: int) -> torch.Tensor:
+        chosen = (self._uniform(*shape, 1, 1) < self._settings.spread).float()
+        return chosen * self._settings.spread_m * self._normal(*shape, self._hands.shape[2], 3)
+
+    def _one_hot(self, finger: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.one_hot(finger, self._hands.shape[2]).bool()
+
+    def _below(self, limit: int, *shape: int) -> torch.Tensor:
+        return torch.randint(limit, shape, generator=self._generator).to(self._device)
+
+    def _uniform(self, *shape: int) -> torch.Tensor:
+        return torch.rand(shape, generator=self._generator).to(self._device)
+
+    def _normal(self, *shape: int) -> torch.Tensor:
+        return torch.randn(shape, generator=self._generator).to(self._device)
 
 
 def affine_size(p_HF: np.ndarray, lengths: np.ndarray, tips: np.ndarray, quantile: float) -> np.ndarray:
@@ -75,9 +223,10 @@ class Training:
         names = kinematics.finger_names
         self._generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
         self.settings, self.step, self.seconds = settings, 0, 0.0
-        self._key = hashlib.sha256(
-            json.dumps(dataclasses.asdict(settings)).encode() + p_HK.tobytes() + _digest(kinematics, seed)
-        ).hexdigest()
+        postures = torch.tensor(np.linspace(kinematics.lower, kinematics.upper, 5))
+        facts = json.dumps([seed, dataclasses.asdict(settings)]).encode(), p_HK.tobytes()
+        of_hand = fingertips(kinematics, postures).numpy().round(9).tobytes()
+        self._key = hashlib.sha256(b"".join([*facts, of_hand])).hexdigest()
         self.people = people = TrainingPeople(p_HK, names, settings, self._generator, rng, device)
         lower, upper = torch.tensor(kinematics.lower).float(), torch.tensor(kinematics.upper).float()
         uniform = torch.rand(settings.robot_samples, len(lower), generator=self._generator)
@@ -89,12 +238,11 @@ class Training:
             kinematics,
             people.shapes[:, 0].cpu(),
             people.p_HF.cpu(),
-            people.pairs,
             (settings.finger_units, settings.residual_units, settings.shape_units),
             self._generator,
         ).to(device)
         size_tensor = torch.tensor(size, dtype=torch.float32, device=device)
-        self.criteria = Criteria(kinematics, people.pairs, size_tensor, settings)
+        self.criteria = Criteria(kinematics, size_tensor, settings)
         nearest = self.criteria.pair_distances(tips).amin(0)
         people.closable = (nearest < TOUCH * kinematics.tip_radius).to(device)
         gaps = CollisionGaps(kinematics, shapes)
@@ -169,7 +317,7 @@ class Training:
             "optimiser": self._optimiser.state_dict(),
             "multipliers": self.multipliers.values,
             "figures": self.multipliers.figures,
-            "collisions": [self.collisions.hands, self.collisions.shapes],
+            "collisions": self.collisions.remembered,
             "generator": self._generator.get_state(),
         }
         with atomic_path(path) as draft, open(draft, "wb") as file:
@@ -197,7 +345,7 @@ class Training:
         self._optimiser.load_state_dict(state["optimiser"])
         self.multipliers.values, self.multipliers.figures = state["multipliers"], state["figures"]
         self._collided = state["collided"]
-        self.collisions.hands, self.collisions.shapes = state["collisions"]
+        self.collisions.remembered = state["collisions"]
         self._generator.set_state(state["generator"].cpu())
 
 
@@ -266,3 +414,10 @@ def train_universal(
     if state is not None:
         state.unlink(missing_ok=True)
     return result
+
+
+def tips_and_directions(p_HK: np.ndarray, finger_names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Returns fingertips, m, and unit vectors along the distal bones, (..., F, 3), of p_HK (..., 21, 3)."""
+    tips = p_HK[..., [TIP_KEYPOINT[name] for name in finger_names], :]
+    u = tips - p_HK[..., [FINGER_KEYPOINTS[name][-2] for name in finger_names], :]
+    return tips, u / np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-9)
