@@ -16,8 +16,8 @@ from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.resources import hand_names, models_dir
+from geort_drake.retargeting.numpy_kinematics import MIRROR_TOLERANCE_M, match_joints
 from geort_drake.retargeting.store import shipped_maps
-from geort_drake.retargeting.universal.mirror import MIRROR_TOLERANCE_M, match_joints
 
 SHARED_WUJI = Path(__file__).resolve().parents[2] / "shared" / "hands" / "wuji"
 # The orders in which the makers' software takes angles, by the joints' names.

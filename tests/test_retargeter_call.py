@@ -5,9 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from faults.sound import play
 
 from geort_drake.errors import GeortError
-from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
+from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT, mirrored
 from geort_drake.retargeting.base import Retargeter
 from geort_drake.retargeting.mlp import MlpRetargeter
 
@@ -41,9 +42,9 @@ def retarget(request) -> MlpRetargeter:
     return retargeter(3, 16, 0 if request.param == "independent" else 24, 3)
 
 
-def test_the_jacobian_is_the_calls_gradient(retarget, rng):
+def test_the_jacobian_is_the_calls_gradient(retarget):
     """For fingertips and for whole hands, by the formula and by the differences of other retargeters."""
-    p_HK = rng.normal(0.0, 0.03, (21, 3))
+    p_HK = play().p_HK[0].astype(float)
     p_HF = p_HK[[4, 8, 12]]
     J = retarget.jacobian(p_HK)
     np.testing.assert_array_equal(J, retarget.jacobian(p_HF))
@@ -107,3 +108,19 @@ def test_wrong_input_is_refused(retarget):
         for points in (p, p[2]):
             with pytest.raises(GeortError, match="must be finite"):
                 retarget(points)
+
+
+def test_whole_hands_that_are_not_in_the_wrist_frame_or_of_the_other_side_are_refused(retarget):
+    """Shifted, turned and mirrored hands, one or many; those of a recording are accepted."""
+    hands = play().p_HK.astype(float)
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    for bad, message in (
+        (hands + 0.05, "off by 50 mm"),
+        (hands @ turn.T, "off by .* mm"),
+        (hands * [-1.0, -1.0, 1.0], "as of a left hand"),
+        (mirrored(hands), "as of a left hand"),
+    ):
+        for points in (bad, bad[7], np.concatenate([hands[:3], bad[:1]])):
+            with pytest.raises(GeortError, match=rf"wrist frame H .*{message}.*from_keypoints"):
+                retarget(points)
+    np.testing.assert_array_equal(retarget(hands), retarget(hands[:, [4, 8, 12]]))

@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from faults.sound import play
 from retargeting_toy import (
     HAND,
     HUMAN,
@@ -17,11 +18,13 @@ from retargeting_toy import (
     uneven_kinematics,
 )
 
-from geort_drake.errors import TrainingError, UnknownNameError
+from geort_drake import Recording
+from geort_drake.errors import MismatchError, RecordingError, TrainingError, UnknownNameError
+from geort_drake.people.keypoints import mirrored
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.geort import GeortConfig, NeuralKinematics, RetargetingModel, pretrain
 from geort_drake.retargeting.kinematics import fingertips
-from geort_drake.retargeting.train import check_fingertips, training_config
+from geort_drake.retargeting.train import check_fingertips, training_config, training_recording
 
 QUICK = GeortConfig(
     steps=300, points=96, gestures=96, hidden=32, robot_samples=3000, pretraining_steps=300,
@@ -145,6 +148,17 @@ def test_recordings_that_spoil_the_map_are_named_or_refused():
             check_fingertips(p_HF, names)
     (sentence,) = check_fingertips(one, names)
     assert "no pinch of the thumb with the middle" in sentence
+
+
+def test_recordings_in_another_unit_or_of_the_other_side_are_refused_before_training():
+    """Also those that were made from arrays, which no reader has checked."""
+    p_HK, t = play().p_HK.astype(float), play().t
+    for points, message in ((1e3 * p_HK, "if lengths were in mm"), (mirrored(p_HK), "of the other side")):
+        with pytest.raises((RecordingError, MismatchError), match=f"the recording: .*{message}"):
+            training_recording(Recording.from_keypoints(points, t), "right")
+    assert training_recording(play(), "right") is play()
+    with pytest.raises(RecordingError, match="no frame has finite keypoints"):
+        training_recording(Recording.from_keypoints(np.nan * p_HK, t), "right")
 
 
 def test_unusable_settings_are_refused():

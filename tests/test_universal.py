@@ -20,7 +20,6 @@ from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.retargeting.universal.losses import DistalDirections, UniversalSettings
-from geort_drake.retargeting.universal.mirror import mirrored_map
 from geort_drake.retargeting.universal.network import UniversalNetwork
 from geort_drake.retargeting.universal.person import hand_shape
 from geort_drake.retargeting.universal.train import (
@@ -282,13 +281,13 @@ def test_the_left_hands_map_mirrors_the_right_ones():
     """Mirrored people move the mirrored hand's fingertips as the right ones move the right hand's."""
     right, retarget = shipped("allegro_right")
     left, other = shipped("allegro_left")
-    converted = mirrored_map(retarget, right.kinematics(), left.kinematics().mirrored())
+    converted = retarget.mirrored(right.kinematics(), left.kinematics().mirrored())
     for name, array in other.arrays.items():
         np.testing.assert_array_equal(converted.arrays[name], array)
     tips = right.fingertips(retarget.for_person(play(0))(play(0)[::50]))
     q = other.for_person(play(0))(play(0)[::50])
     np.testing.assert_allclose(mirrored(left.fingertips(q)), tips, atol=1e-6)
-    assert mirrored_map(retarget, right.kinematics(), Hand("leap_right").kinematics()) is None
+    assert retarget.mirrored(right.kinematics(), Hand("leap_right").kinematics()) is None
 
 
 @pytest.mark.parametrize(

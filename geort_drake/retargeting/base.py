@@ -1,7 +1,9 @@
 """The interface of all retargeters: human fingertips in, joint angles of a robot hand out."""
 
 import json
+import math
 import os
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -11,13 +13,17 @@ from safetensors.numpy import save
 
 from geort_drake.errors import GeortError, MapError, UnknownNameError
 from geort_drake.files import atomic_path
-from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT
+from geort_drake.people.keypoints import BASE_KEYPOINT, KEYPOINT_COUNT, MIDDLE_MCP, TIP_KEYPOINT, WRIST
 from geort_drake.retargeting.clouds import TrainedSpace
 
 MAX_REACH = 0.5  # m; no fingertip is farther from its wrist
 # Of files, see `geort_drake.retargeting.store`.
 FORMAT, HEADER, TRAINED_POINTS = 2, "geort_drake", "trained_points"
 _STEP = 1e-6  # m, of numerical derivatives
+# Among the 63 coordinates of a hand in H: those of the wrist, and x and y of the middle knuckle, are zero.
+_ZERO_IN_H = np.array([*range(3 * WRIST, 3 * WRIST + 3), 3 * MIDDLE_MCP, 3 * MIDDLE_MCP + 1])
+_INDEX_Y, _LITTLE_Y = (3 * BASE_KEYPOINT[name] + 1 for name in ("index", "little"))
+_OFF_FRAME = 0.02  # m, more than by any rounding or noise
 
 # Maps fingertips or keypoints of one or many hands to joint angles; a `Retargeter`, or a user's own function.
 Retarget = Callable[[np.ndarray], np.ndarray]
@@ -94,7 +100,8 @@ class Retargeter(ABC):
 
         Raises:
             ValueError: points have another shape.
-            GeortError: a coordinate is not finite, or a fingertip is farther from the wrist than any hand's.
+            GeortError: a coordinate is not finite, a fingertip is farther from the wrist than any hand's, or
+                keypoints are not in H, or of a left hand.
         """
         p_HF = self.fingertips(points)
         return self._angles(p_HF) if p_HF.ndim == 3 else self._angles(p_HF[None])[0]
@@ -171,6 +178,7 @@ class Retargeter(ABC):
                 f"(N, {KEYPOINT_COUNT}, 3); they have shape {points.shape}"
             )
         if points.shape[-2] != fingers:
+            _require_wrist_frame(points)
             points = points.take(self.human_keypoints, axis=-2)
         # NaN fails the comparison, too.
         if not (np.abs(points) <= MAX_REACH).all():
@@ -187,6 +195,21 @@ class Retargeter(ABC):
         if p_HF.ndim != 2:
             raise ValueError(f"jacobian takes one hand, ({len(self.finger_names)}, 3), not {p_HF.shape}")
         return p_HF
+
+
+def _require_wrist_frame(p_HK: np.ndarray) -> None:
+    """Refuses whole hands (..., 21, 3), m, that are clearly not in H, or mirrored; NaN passes.
+
+    `people.checks.require_wrist_frame_hand` finds more, but takes longer than a call.
+    """
+    p = p_HK.reshape(-1, 3 * KEYPOINT_COUNT)
+    off = np.abs(p[:, _ZERO_IN_H]).max(initial=0.0)
+    if off > _OFF_FRAME or (p[:, _LITTLE_Y] - p[:, _INDEX_Y]).max(initial=0.0) > _OFF_FRAME:
+        what = f"are off by {1e3 * off:.0f} mm" if off > _OFF_FRAME else "are mirrored, as of a left hand"
+        raise GeortError(
+            "human points must be those of a right hand in the wrist frame H (origin at the wrist, z to the "
+            f"middle knuckle, y to the index side), but {what}; Recording.from_keypoints transforms them"
+        )
 
 
 def forget(retarget: Any) -> None:
@@ -207,24 +230,43 @@ def keypoints_of(hand: Any) -> Sequence[int] | None:
     return hand.description.human_keypoints if hasattr(hand, "description") else None
 
 
-def require_array(arrays: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """Returns the named array, in double precision; −1 in `shape` is any size but 0.
+def axes_of(shape: str, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Returns the lengths of axes such as "F 3 h" or "12F Fk", given those that the letters stand for."""
+    return tuple(
+        math.prod(
+            int(factor) if factor.isdigit() else sizes[factor] for factor in re.findall(r"\d+|\D", axis)
+        )
+        for axis in shape.split()
+    )
+
+
+def require_arrays(
+    arrays: Mapping[str, np.ndarray], shapes: Mapping[str, str], sizes: dict[str, int]
+) -> dict[str, np.ndarray]:
+    """Returns the arrays named in `shapes`, see `axes_of`, in double precision.
+
+    The first array with a letter that `sizes` lacks determines it.
 
     Raises:
-        MapError: it is missing, has another shape or is not finite.
+        MapError: an array is missing, has another shape or no elements, or is not finite.
     """
-    if name not in arrays:
-        raise MapError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
-    value = np.asarray(arrays[name])
-    fits = value.ndim == len(shape) and all(
-        size == expected or (expected == -1 and size > 0)
-        for size, expected in zip(value.shape, shape, strict=True)
-    )
-    with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
-        usable = fits and value.dtype.kind in "fiu" and np.isfinite(value.astype(np.float32)).all()
-    if not usable:
-        raise MapError(
-            f"weights: '{name}' must be finite and of shape {shape}, it is of shape {value.shape} and type "
-            f"{value.dtype}"
-        )
-    return value.astype(float)
+    result = {}
+    for name, shape in shapes.items():
+        if name not in arrays:
+            raise MapError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
+        value, axes = np.asarray(arrays[name]), shape.split()
+        usable = value.size > 0 and value.ndim == len(axes) and value.dtype.kind in "fiu"
+        if usable:
+            for axis, size in zip(axes, value.shape, strict=True):
+                if len(axis) == 1 and axis.isalpha():
+                    sizes.setdefault(axis, size)
+            with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
+                usable = value.shape == axes_of(shape, sizes) and np.isfinite(value.astype(np.float32)).all()
+        if not usable:
+            lengths = ", ".join(f"{letter} = {size}" for letter, size in sizes.items())
+            raise MapError(
+                f"weights: '{name}' must be finite and of shape ({', '.join(axes)}), with {lengths}; it is "
+                f"of shape {value.shape} and type {value.dtype}"
+            )
+        result[name] = value.astype(float)
+    return result

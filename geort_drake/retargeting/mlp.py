@@ -5,47 +5,57 @@ from collections.abc import Mapping
 import numpy as np
 
 from geort_drake.errors import MapError
-from geort_drake.retargeting.base import Retargeter, require_array
+from geort_drake.retargeting.base import Retargeter, axes_of, require_arrays
+
+# Shapes of the arrays in files. F fingers have networks of h hidden units and k outputs; n joints have their
+# numbers among these F·k outputs in `columns`.
+FINGERS = {
+    "weight0": "F 3 h",
+    "bias0": "F 1 h",
+    "weight1": "F h h",
+    "bias1": "F 1 h",
+    "weight2": "F h k",
+    "bias2": "F 1 k",
+    "columns": "n",
+}
+# The network of r hidden units that sees all fingertips.
+RESIDUAL = {
+    "residual_weight0": "3F r",
+    "residual_bias0": "r",
+    "residual_weight1": "r r",
+    "residual_bias1": "r",
+    "residual_weight2": "r Fk",
+    "residual_bias2": "Fk",
+}
 
 
 class MlpRetargeter(Retargeter):
     """q = centre + half range · tanh(f_i(x_i) + r(x_1, …, x_F)), with networks of two hidden SiLU layers.
 
-    f_i sees the fingertip of finger i, and r, which may be absent, sees all. Stateless and thread-safe.
-
-    The weights are weight0 (F, 3, h), bias0 (F, 1, h), weight1 (F, h, h), bias1 (F, 1, h), weight2 (F, h, k)
-    and bias2 (F, 1, k) of the networks f_i; columns (n,), the number of each joint among their F·k outputs;
-    and of the network r, if there is one: residual_weight0 (3F, r), residual_bias0 (r,), residual_weight1
-    (r, r), residual_bias1 (r,), residual_weight2 (r, F·k) and residual_bias2 (F·k,).
+    f_i sees the fingertip of finger i, and r, which may be absent, sees all. Stateless and thread-safe. The
+    weights are `FINGERS` and `RESIDUAL`.
     """
 
     kind = "mlp"
 
     def _prepare(self, arrays: Mapping[str, np.ndarray]) -> None:
-        F = len(self.finger_names)
-        h = require_array(arrays, "weight0", (F, 3, -1)).shape[2]
-        k = require_array(arrays, "weight2", (F, h, -1)).shape[2]
-        columns = require_array(arrays, "columns", (len(self.joint_names),)).astype(int)
+        sizes = {"F": len(self.finger_names), "n": len(self.joint_names)}
+        w = require_arrays(arrays, FINGERS, sizes)
+        F, k, columns = sizes["F"], sizes["k"], w["columns"].astype(int)
         if len(set(columns)) != len(columns) or not (columns.min() >= 0 and columns.max() < F * k):
             raise MapError(f"weights: columns must be different numbers below {F * k}, not {columns}")
-        r = 0
         if "residual_weight0" in arrays:
-            r = require_array(arrays, "residual_weight0", (3 * F, -1)).shape[1]
-
-        def residual(name: str, *shape: int) -> np.ndarray:
-            return require_array(arrays, f"residual_{name}", shape) if r else np.zeros(shape)
-
-        def fingers(name: str, *shape: int) -> np.ndarray:
-            return require_array(arrays, name, (F, *shape))
-
+            w |= require_arrays(arrays, RESIDUAL, sizes)
+        else:
+            w |= {name: np.zeros(axes_of(shape, sizes | {"r": 0})) for name, shape in RESIDUAL.items()}
         # Layers 0 and 2 of all networks are one matrix each; in layer 1 that would be mostly zeros.
-        self._weight0 = np.hstack([_block_diagonal(fingers("weight0", 3, h)), residual("weight0", 3 * F, r)])
-        self._bias0 = np.concatenate([fingers("bias0", 1, h).ravel(), residual("bias0", r)])
-        self._weight1, self._residual1 = fingers("weight1", h, h), residual("weight1", r, r)
-        self._bias1 = np.concatenate([fingers("bias1", 1, h).ravel(), residual("bias1", r)])
-        weight2 = np.vstack([_block_diagonal(fingers("weight2", h, k)), residual("weight2", r, F * k)])
+        self._weight0 = np.hstack([_block_diagonal(w["weight0"]), w["residual_weight0"]])
+        self._bias0 = np.concatenate([w["bias0"].ravel(), w["residual_bias0"]])
+        self._weight1, self._residual1 = w["weight1"], w["residual_weight1"]
+        self._bias1 = np.concatenate([w["bias1"].ravel(), w["residual_bias1"]])
+        weight2 = np.vstack([_block_diagonal(w["weight2"]), w["residual_weight2"]])
         self._weight2 = weight2[:, columns]
-        self._bias2 = (fingers("bias2", 1, k).ravel() + residual("bias2", F * k))[columns]
+        self._bias2 = (w["bias2"].ravel() + w["residual_bias2"])[columns]
         self._centre = 0.5 * (self.lower + self.upper)
         # Rounding must not move a saturated output beyond its limit.
         self._half_range = 0.5 * (self.upper - self.lower) * (1.0 - 1e-12)

@@ -18,6 +18,7 @@ import numpy as np
 from geort_drake.console import progress_bar, say
 from geort_drake.errors import MapError, RecordingError, TrainingError
 from geort_drake.files import locked, require_writable, source_digest
+from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.people.coverage import finger_motions
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M, Recording
@@ -190,7 +191,8 @@ def training_recording(source: Recording | str | os.PathLike | None, side: str, 
     """Returns the training recording for a robot hand of `side`: given, read from a file, or synthesised.
 
     Raises:
-        RecordingError: the recording is of the other hand, or the file is unsuitable for training.
+        RecordingError, MismatchError: the recording is of the other hand, is no person's (see
+            `require_wrist_frame_hand`), or the file is unsuitable for training.
     """
     if source is None:
         return synthesize_play(seed, side=side)
@@ -198,6 +200,7 @@ def training_recording(source: Recording | str | os.PathLike | None, side: str, 
         return read_recording(source, side=side, training=True)
     if source.side != side:
         raise RecordingError(f"the recording is of a {source.side} hand, the robot's is a {side} hand")
+    require_wrist_frame_hand(source.p_HK[source.valid][:: len(source) // 1000 + 1], "the recording")
     return source
 
 

@@ -10,15 +10,38 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from geort_drake.errors import MapError
+from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.people.checks import good_frames, require_wrist_frame_hand
 from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
-from geort_drake.retargeting.base import Retargeter, require_array
+from geort_drake.retargeting.base import Retargeter, require_arrays
 from geort_drake.retargeting.clouds import TrainedSpace
-from geort_drake.retargeting.mlp import MlpRetargeter
+from geort_drake.retargeting.mlp import FINGERS, RESIDUAL, MlpRetargeter
+from geort_drake.retargeting.numpy_kinematics import match_joints
 
 MEASURED_FRAMES = 30  # different good frames that measure a hand: 0.3 s of a glove, 1 s of a camera
 PAIR_UNIT = 0.05  # m; unit of the vectors between the thumb's tip and the others
 MAX_DEVIATION = 3.0  # standard deviations of the training's people to which a shape is clamped
+# Shapes of the arrays in files, as in `mlp`. The residual sees i = 3F + 3 (F − 1) inputs: fingertips, and
+# differences from the thumb's. Layers of m units process the shape of the hand.
+SHAPES = {
+    **FINGERS,
+    **RESIDUAL,
+    "residual_weight0": "i r",
+    "shape_mean": "4F",
+    "shape_deviation": "4F",
+    "shape_weight0": "4F m",
+    "shape_bias0": "m",
+    "shape_weight1": "m m",
+    "shape_bias1": "m",
+    "input_mean": "F 3",
+    "input_scale": "F 3",
+    "input_weight": "m 12F",
+    "input_bias": "12F",
+    "modulation_weight": "4 F m h",
+    "modulation_bias": "4 F h",
+    "residual_modulation_weight": "2 m r",
+    "residual_modulation_bias": "2 r",
+}
 _ALONE = "for fingertips alone, call the map that `for_person` returns"
 
 
@@ -45,11 +68,7 @@ class UniversalRetargeter(Retargeter):
 
     A call takes whole hands, and measures the shape of the hand on them.
 
-    The weights are shape_mean, shape_deviation (4F,); shape_weight0 (4F, m), shape_bias0 (m,), shape_weight1
-    (m, m), shape_bias1 (m,); input_mean and input_scale (F, 3) of the inputs; input_weight (m, 12F),
-    input_bias (12F,); modulation_weight (4, F, m, h), modulation_bias (4, F, h); residual_modulation_weight
-    (2, m, r), residual_modulation_bias (2, r); and those of `MlpRetargeter`, whose residual_weight0 is
-    (3F + 3 (F − 1), r). One finger must be the thumb.
+    The weights are `SHAPES`. One finger must be the thumb.
     """
 
     kind = "universal"
@@ -60,39 +79,13 @@ class UniversalRetargeter(Retargeter):
             raise MapError(f"finger_names: unknown {unknown[0]!r}; known are {', '.join(TIP_KEYPOINT)}")
         if "thumb" not in names:
             raise MapError(f"finger_names: 'thumb' is missing; there are {', '.join(names)}")
-        self._thumb, fingers = names.index("thumb"), len(names)
-        units = require_array(arrays, "shape_weight0", (4 * fingers, -1)).shape[1]
-        hidden = require_array(arrays, "weight0", (fingers, 3, -1)).shape[2]
-        inputs = 3 * fingers + 3 * (fingers - 1)
-        residual = require_array(arrays, "residual_weight0", (inputs, -1)).shape[1]
-        shapes: dict[str, tuple[int, ...]] = {
-            "shape_mean": (4 * fingers,),
-            "shape_deviation": (4 * fingers,),
-            "shape_weight0": (4 * fingers, units),
-            "shape_bias0": (units,),
-            "shape_weight1": (units, units),
-            "shape_bias1": (units,),
-            "input_mean": (fingers, 3),
-            "input_scale": (fingers, 3),
-            "input_weight": (units, 12 * fingers),
-            "input_bias": (12 * fingers,),
-            "modulation_weight": (4, fingers, units, hidden),
-            "modulation_bias": (4, fingers, hidden),
-            "residual_modulation_weight": (2, units, residual),
-            "residual_modulation_bias": (2, residual),
-            "weight0": (fingers, 3, hidden),
-            "bias0": (fingers, 1, hidden),
-            "weight1": (fingers, hidden, hidden),
-            "bias1": (fingers, 1, hidden),
-            "residual_weight0": (inputs, residual),
-            "residual_bias0": (residual,),
-        }
-        weights = dict(arrays) | {name: require_array(arrays, name, shape) for name, shape in shapes.items()}
+        self._thumb, F = names.index("thumb"), len(names)
+        sizes = {"F": F, "n": len(self.joint_names), "i": 3 * F + 3 * (F - 1)}
+        self._weights = weights = dict(arrays) | require_arrays(arrays, SHAPES, sizes)
         for name in ("shape_deviation", "input_scale"):
             if not (weights[name] > 0).all():
                 raise MapError(f"weights: '{name}' must be positive")
-        self._weights = weights
-        self._folded(weights["shape_mean"])  # also checks the arrays of the fingers
+        self._folded(weights["shape_mean"])  # checks `columns`
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Computes joint angles (n,) or (N, n), rad, of the person in keypoints (21, 3) or (N, 21, 3), m.
@@ -146,6 +139,31 @@ class UniversalRetargeter(Retargeter):
             f"{part} of the {self.finger_names[finger]}: {z[number]:.1f} deviations from the average person; "
             f"the map is for up to {MAX_DEVIATION:g}"
         )
+
+    def mirrored(self, hand: HandKinematics, mirrored_hand: HandKinematics) -> "UniversalRetargeter | None":
+        """Returns the map of the mirror image, whose joints may have other names, senses and zeros.
+
+        Args:
+            hand: kinematics of this map's hand.
+            mirrored_hand: kinematics of the other hand, mirrored; see `HandKinematics.mirrored`.
+
+        Returns:
+            The map; None if the other hand is no mirror image, see `match_joints`.
+        """
+        if (match := match_joints(hand, mirrored_hand)) is None:
+            return None
+        rows, signs = match
+        columns = self.arrays["columns"]
+        arrays = dict(self.arrays) | {"columns": columns[rows]}
+        outputs = np.ones(arrays["bias2"].size, dtype=np.float32)
+        outputs[columns[rows]] = signs
+        for name in ("weight2", "bias2", "residual_weight2", "residual_bias2"):
+            of_fingers = arrays[name].ndim == 3
+            arrays[name] = arrays[name] * outputs.reshape((len(hand.fingers), 1, -1) if of_fingers else -1)
+        names = self.finger_names, mirrored_hand.joint_names, self.human_keypoints.tolist()
+        result = UniversalRetargeter(*names, mirrored_hand.lower, mirrored_hand.upper, arrays)
+        result.info = self.info
+        return result
 
     @staticmethod
     def _good_hands(p_HK: np.ndarray) -> np.ndarray:
