@@ -152,8 +152,8 @@ class Maker:
         self._object = object_name
         scenario, play = _scenario(object_name), synthesize_play(seed=0)
         description = load_hand(scenario.hand)
-        path = retargeter or cached_map(Hand(description), play)
-        self._retarget = load_retargeter(path, Hand(description))
+        hand = Hand(description)
+        self._retarget = load_retargeter(retargeter, hand) if retargeter else cached_map(hand, play)[0]
         self._human = HumanHand.fit(play), GraspPlanner(scenario, description).plans(2)[0]
 
     def __call__(

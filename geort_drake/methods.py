@@ -85,8 +85,7 @@ def resolve(
         return fit(hand), shipped_maps()[hand.description.name]
     recording = train.training_recording(recording, hand.description.side, seed)
     if is_trained(method):
-        path = train.cached_map(hand, recording, method, seed, device)
-        return load_retargeter(path, hand), path
+        return train.cached_map(hand, recording, method, seed, device)
     p_HF = recording.fingertips(hand.description.human_keypoints)
     return METHODS[method].fit(hand, p_HF, seed=seed), None
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from light_training import train_lightly
 
-from geort_drake import synthesize_play
+from geort_drake import load_retargeter, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import TrainingError
 from geort_drake.metrics import evaluation
@@ -22,7 +22,9 @@ def quick(light_evaluation, tmp_path):
 
     def train(hand, recording, method="geort", seed=0, device="cpu"):
         path = tmp_path / f"{method}-{seed}-{recording.digest[:8]}.safetensors"
-        return path if path.is_file() else train_lightly(hand, recording, path, method, seed)
+        if not path.is_file():
+            train_lightly(hand, recording, path, method, seed)
+        return load_retargeter(path, hand), path
 
     return train
 

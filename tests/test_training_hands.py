@@ -131,7 +131,8 @@ def test_equal_requests_share_a_map_and_its_warnings(play, allegro, monkeypatch)
         return train_map(hand, recording, method, seed, device, settings, show_progress=False)
 
     def cached(method="telekinesis", **settings):
-        return cached_map(allegro, play, method, settings=LIGHT[method] | settings)
+        _, path = cached_map(allegro, play, method, settings=LIGHT[method] | settings)
+        return path
 
     monkeypatch.setattr(retargeting_train, "train_map", counted)
     with ThreadPoolExecutor() as threads:  # locks keep threads apart like processes

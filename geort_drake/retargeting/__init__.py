@@ -16,7 +16,7 @@ class Method:
 
     Attributes:
         summary: one line for --help.
-        fitter: module and function of this package, see `fit`.
+        fitter: module and function, or class, of this package; see `fit`.
         settings: module and class of the settings of its training; empty if it is not trained.
     """
 
@@ -52,10 +52,7 @@ class Method:
 def _load(path: str) -> Any:
     """Imports an attribute; some modules need torch."""
     module, _, name = path.partition(":")
-    value = importlib.import_module(f"{__name__}.{module}")
-    for part in name.split("."):
-        value = getattr(value, part)
-    return value
+    return getattr(importlib.import_module(f"{__name__}.{module}"), name)
 
 
 METHODS = {
@@ -68,10 +65,10 @@ METHODS = {
         "telekinesis:TelekinesisConfig",
     ),
     "universal": Method("one map for every person, shipped for the hand", "store:fit"),
-    "affine_ik": Method("an affine map of each fingertip, and inverse kinematics", "affine_ik:AffineIK.fit"),
-    "anyteleop": Method("AnyTeleop's vectors, optimised at every frame", "online:AnyTeleop.fit"),
-    "dexpilot": Method("DexPilot's vectors, optimised at every frame", "online:DexPilot.fit"),
-    "hold": Method("a constant posture", "affine_ik:Hold.fit"),
+    "affine_ik": Method("an affine map of each fingertip, and inverse kinematics", "affine_ik:AffineIK"),
+    "anyteleop": Method("AnyTeleop's vectors, optimised at every frame", "online:AnyTeleop"),
+    "dexpilot": Method("DexPilot's vectors, optimised at every frame", "online:DexPilot"),
+    "hold": Method("a constant posture", "affine_ik:Hold"),
 }
 DEFAULT_METHOD = "geort"
 

@@ -1,12 +1,10 @@
 """Baselines: an affine map of each fingertip followed by inverse kinematics, and a constant posture."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from geort_drake.errors import GeortError
-from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.base import Retargeter, keypoints_of, kinematics_of
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
@@ -28,35 +26,24 @@ class AffineIK(Retargeter):
         gain: (F, 1) ratios s.
     """
 
-    def __init__(
-        self,
-        kinematics: HandKinematics,
-        frames: np.ndarray | None,
-        seed: int = 0,
-        human_keypoints: Sequence[int] | None = None,
-    ):
-        """Fits the maps to the fingertips `frames` (T, F, 3), m; `seed` draws the robot's joint angles.
+    def __init__(self, hand: Any, p_HF: np.ndarray | None = None, seed: int = 0, **_options: Any):
+        """Fits the maps to fingertips p_HF; `seed` draws the robot's joint angles. See `Method.fit`.
 
         Raises:
             GeortError: there are no frames, a finger hardly moves in them, or a coordinate is not finite.
         """
-        self._hand = hand = NumpyKinematics(kinematics)
-        super().__init__(hand.finger_names, hand.joint_names, human_keypoints, hand.lower, hand.upper)
-        p_HF = np.empty((0, 0, 3)) if frames is None else self.fingertips(frames)
+        self._hand = robot = NumpyKinematics(kinematics_of(hand))
+        super().__init__(robot.finger_names, robot.joint_names, keypoints_of(hand), robot.lower, robot.upper)
+        p_HF = np.empty((0, 0, 3)) if p_HF is None else self.fingertips(p_HF)
         if p_HF.ndim != 3 or len(p_HF) == 0:
             raise GeortError("affine_ik needs recorded frames (T, F, 3) to find the human workspace")
         q = np.random.default_rng(seed).uniform(self.lower, self.upper, (SAMPLES, len(self.lower)))
         self._human, human_spread = _mean_and_spread(p_HF)
-        self._robot, robot_spread = _mean_and_spread(hand.fingertips(q))
+        self._robot, robot_spread = _mean_and_spread(robot.fingertips(q))
         if human_spread.min() < 1e-3:
             still = self.finger_names[int(human_spread.argmin())]
             raise GeortError(f"affine_ik needs moving fingertips; the {still} moves less than 1 mm")
         self.gain = (robot_spread / human_spread)[:, None]
-
-    @classmethod
-    def fit(cls, hand: Any, p_HF: np.ndarray | None = None, seed: int = 0, **_options: Any) -> "AffineIK":
-        """Fits the maps of a hand to fingertips; see `Method.fit`."""
-        return cls(kinematics_of(hand), p_HF, seed, keypoints_of(hand))
 
     def targets(self, points: np.ndarray) -> np.ndarray:
         """Returns the robot's target fingertips, reachable or not, (F, 3) or (N, F, 3) in B, m."""
@@ -80,12 +67,10 @@ class AffineIK(Retargeter):
 class Hold(Retargeter):
     """Keeps the joints in the middle of their ranges."""
 
-    @classmethod
-    def fit(cls, hand: Any, p_HF: np.ndarray | None = None, **_options: Any) -> "Hold":
-        """Makes the retargeter of a hand; see `Method.fit`."""
-        kinematics = kinematics_of(hand)
-        names = kinematics.finger_names, kinematics.joint_names
-        return cls(*names, keypoints_of(hand), kinematics.lower, kinematics.upper)
+    def __init__(self, hand: Any, p_HF: np.ndarray | None = None, **_options: Any):
+        """See `Method.fit`."""
+        robot = kinematics_of(hand)
+        super().__init__(robot.finger_names, robot.joint_names, keypoints_of(hand), robot.lower, robot.upper)
 
     def _angles(self, p_HF: np.ndarray) -> np.ndarray:
         return np.tile(0.5 * (self.lower + self.upper), (len(p_HF), 1))

@@ -7,13 +7,12 @@ wrist or a fingertip to a fingertip; its target is the person's, scaled by hand-
 regularisation towards the previous joint angles makes results depend on the past.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from geort_drake.errors import HandError
-from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.base import Retargeter, keypoints_of, kinematics_of
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
@@ -35,31 +34,31 @@ class AnyTeleop(Retargeter):
 
     huber_delta = 0.02  # m
 
-    def __init__(self, kinematics: HandKinematics, human_keypoints: Sequence[int] | None = None):
-        """Makes a retargeter at rest.
-
-        Args:
-            kinematics: kinematics of the robot hand, mirrored for a left hand.
-            human_keypoints: keypoint of each fingertip; by default the fingers' names determine it.
+    def __init__(self, hand: Any, p_HF: np.ndarray | None = None, **_options: Any):
+        """Makes a retargeter at rest; see `Method.fit`.
 
         Raises:
             UnknownNameError: a finger's name has no keypoint.
             HandError: the hand lacks fingers that the method needs.
         """
-        self.kinematics = hand = NumpyKinematics(kinematics)
-        super().__init__(hand.finger_names, hand.joint_names, human_keypoints, hand.lower, hand.upper)
-        self._vectors = TaskVectors(hand, self._pairs(), self.huber_delta, NORM_DELTA)
+        self.kinematics = robot = NumpyKinematics(kinematics_of(hand))
+        super().__init__(robot.finger_names, robot.joint_names, keypoints_of(hand), robot.lower, robot.upper)
+        # Task vectors from an origin, which may be WRIST, to a tip: v = difference · tips − origin.
+        self._vectors = self._pairs()
+        self._difference = np.zeros((len(self._vectors), len(robot.finger_names)))
+        self._origin = np.zeros((len(self._vectors), 3))
+        for row, (origin, tip) in enumerate(self._vectors):
+            self._difference[row, tip] = 1.0
+            if origin == WRIST:
+                self._origin[row] = robot.p_BW
+            else:
+                self._difference[row, origin] = -1.0
         self.reset()
-
-    @classmethod
-    def fit(cls, hand: Any, p_HF: np.ndarray | None = None, **_options: Any) -> "AnyTeleop":
-        """Makes the retargeter of a hand; see `Method.fit`."""
-        return cls(kinematics_of(hand), keypoints_of(hand))
 
     def reset(self) -> None:
         """Resets the state: joints in the middle of their ranges, no vector projected."""
         self._q = 0.5 * (self.lower + self.upper)
-        self._projected = np.zeros(len(self._vectors.pairs), dtype=bool)
+        self._projected = np.zeros(len(self._vectors), dtype=bool)
 
     def _angles(self, p_HF: np.ndarray) -> np.ndarray:
         return np.array([self._step(row) for row in p_HF]).reshape(len(p_HF), len(self.joint_names))
@@ -106,14 +105,14 @@ class AnyTeleop(Retargeter):
         if start is None:
             start = np.tile(0.5 * (self.lower + self.upper), (count, 1))
         if projected is None:
-            projected = np.zeros((count, len(self._vectors.pairs)), dtype=bool)
+            projected = np.zeros((count, len(self._vectors)), dtype=bool)
         targets, weights, _ = self._targets(p_HF, projected)
-        return self._vectors.solve(targets, weights, start, None)
+        return self._solve(targets, weights, start, None)
 
     def _step(self, p_HF: np.ndarray) -> np.ndarray:
         targets, weights, projected = self._targets(p_HF[None], self._projected[None])
         previous = self._q[None]
-        self._q = self._vectors.solve(targets, weights, previous, previous)[0]
+        self._q = self._solve(targets, weights, previous, previous)[0]
         self._projected = projected[0]
         return self._q
 
@@ -122,8 +121,80 @@ class AnyTeleop(Retargeter):
 
     def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Returns target vectors (N, V, 3), m, weights (N, V) and new `projected` (N, V); p_HF (N, F, 3)."""
-        targets = SCALE * self._vectors.human(p_HF)
+        targets = SCALE * self._difference @ p_HF
         return targets, np.ones(targets.shape[:2]), projected
+
+    def _solve(
+        self,
+        targets: np.ndarray,
+        weights: np.ndarray,
+        start: np.ndarray,
+        previous: np.ndarray | None,
+    ) -> np.ndarray:
+        """Finds joint angles (N, n), rad, that minimise the objective of each of N frames.
+
+        Args:
+            targets: (N, V, 3) target task vectors, m.
+            weights: (N, V) weights of the vectors.
+            start: (N, n) initial joint angles inside the limits, rad.
+            previous: (N, n) joint angles of the regulariser, rad; None omits it.
+        """
+        lower, upper = self.lower, self.upper
+        q = np.clip(start, lower, upper)
+        rows = np.arange(len(q))  # unfinished frames
+        damping = np.full(len(q), 1e-3)
+        loss, gradient, H = self._objective(q, targets, weights, previous)
+        for _ in range(ITERATIONS):
+            # Joints that the gradient presses against a limit are fixed.
+            free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
+            # Damping relative to the mean curvature leaves redundant directions unchanged.
+            scale = np.einsum("nii->n", H) / H.shape[-1] + 1e-12
+            A = H * (free[:, :, None] & free[:, None, :])
+            diagonal = np.einsum("nii->ni", A)
+            diagonal += np.where(free, (damping[rows] * scale)[:, None], 1.0)
+            step = np.linalg.solve(A, -(gradient * free)[..., None])[..., 0]
+            trial = np.clip(q[rows] + step, lower, upper)
+            regulariser = None if previous is None else previous[rows]
+            new = self._objective(trial, targets[rows], weights[rows], regulariser)
+            better = new[0] <= loss
+            moved = np.abs(trial - q[rows]).max(axis=1)
+            q[rows[better]] = trial[better]
+            damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 10.0), 1e-6, 1e6)
+            loss = np.where(better, new[0], loss)
+            gradient = np.where(better[:, None], new[1], gradient)
+            H = np.where(better[:, None, None], new[2], H)
+            going = moved > TOLERANCE
+            if not going.any():
+                break
+            rows, loss, gradient, H = rows[going], loss[going], gradient[going], H[going]
+        return q
+
+    def _objective(
+        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Returns loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n) at q (N, n), rad.
+        Other arguments are those of `_solve`.
+        """
+        tips, J = self.kinematics.fingertips_and_jacobians(q)
+        count, fingers, _, n = J.shape
+        residual = self._difference @ tips - self._origin - targets
+        J = (self._difference @ J.reshape(count, fingers, 3 * n)).reshape(count, -1, n)
+        distance = np.sqrt((residual**2).sum(-1))
+        delta = self.huber_delta
+        huber = np.where(distance < delta, 0.5 * distance**2 / delta, distance - 0.5 * delta)
+        weights = weights / len(self._vectors)
+        loss = (weights * huber).sum(-1)
+        # h'(d)/d is the weight with which half the squared residual has the same gradient.
+        w = np.repeat(weights / np.maximum(distance, delta), 3, axis=-1)
+        weighted = J * w[..., None]
+        gradient = (residual.reshape(count, 1, -1) @ weighted)[:, 0]
+        H = np.swapaxes(J, -1, -2) @ weighted
+        if previous is not None:
+            away = q - previous
+            loss = loss + NORM_DELTA * (away**2).sum(-1)
+            gradient = gradient + 2.0 * NORM_DELTA * away
+            H += 2.0 * NORM_DELTA * np.eye(n)
+        return loss, gradient, H
 
 
 class DexPilot(AnyTeleop):
@@ -151,8 +222,8 @@ class DexPilot(AnyTeleop):
 
     def _targets(self, p_HF: np.ndarray, projected: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         fingers = len(self.finger_names)
-        pinches, pairs = fingers - 1, len(self._vectors.pairs) - fingers
-        human = self._vectors.human(p_HF)
+        pinches, pairs = fingers - 1, len(self._vectors) - fingers
+        human = self._difference @ p_HF
         distance = np.sqrt((human[:, :pairs] ** 2).sum(-1))
         near = projected.copy()
         first = distance[:, :pinches]
@@ -172,107 +243,3 @@ class DexPilot(AnyTeleop):
         weights = np.full(human.shape[:2], float(pairs + fingers))
         weights[:, :pairs] = np.where(switched, projected_weight, 1.0)
         return targets, weights, near
-
-
-class TaskVectors:
-    """Vectors between the wrist and fingertips of a hand, and their inverse kinematics.
-
-    Attributes:
-        pairs: V pairs (origin, tip) of finger numbers; the origin may be WRIST.
-    """
-
-    def __init__(
-        self,
-        kinematics: NumpyKinematics,
-        pairs: list[tuple[int, int]],
-        huber_delta: float,
-        norm_delta: float,
-    ):
-        """Takes the equation's δ as `huber_delta`, m, and its `norm_delta`, 1/rad²."""
-        self.kinematics, self.pairs = kinematics, pairs
-        self._huber_delta, self._norm_delta = huber_delta, norm_delta
-        # v = difference · tips − origin
-        self._difference = np.zeros((len(pairs), len(kinematics.finger_names)))
-        self._origin = np.zeros((len(pairs), 3))
-        for row, (origin, tip) in enumerate(pairs):
-            self._difference[row, tip] = 1.0
-            if origin == WRIST:
-                self._origin[row] = kinematics.p_BW
-            else:
-                self._difference[row, origin] = -1.0
-
-    def human(self, p_HF: np.ndarray) -> np.ndarray:
-        """Returns the person's task vectors (N, V, 3), m, for fingertips (N, F, 3) in the wrist frame, m."""
-        return self._difference @ p_HF
-
-    def solve(
-        self,
-        targets: np.ndarray,
-        weights: np.ndarray,
-        start: np.ndarray,
-        previous: np.ndarray | None,
-    ) -> np.ndarray:
-        """Finds joint angles (N, n), rad, that minimise the objective of each of N frames.
-
-        Args:
-            targets: (N, V, 3) target task vectors, m.
-            weights: (N, V) weights of the vectors.
-            start: (N, n) initial joint angles inside the limits, rad.
-            previous: (N, n) joint angles of the regulariser, rad; None omits it.
-        """
-        lower, upper = self.kinematics.lower, self.kinematics.upper
-        q = np.clip(start, lower, upper)
-        rows = np.arange(len(q))  # unfinished frames
-        damping = np.full(len(q), 1e-3)
-        loss, gradient, H = self.objective(q, targets, weights, previous)
-        for _ in range(ITERATIONS):
-            # Joints that the gradient presses against a limit are fixed.
-            free = ~(((q[rows] <= lower) & (gradient > 0)) | ((q[rows] >= upper) & (gradient < 0)))
-            # Damping relative to the mean curvature leaves redundant directions unchanged.
-            scale = np.einsum("nii->n", H) / H.shape[-1] + 1e-12
-            A = H * (free[:, :, None] & free[:, None, :])
-            diagonal = np.einsum("nii->ni", A)
-            diagonal += np.where(free, (damping[rows] * scale)[:, None], 1.0)
-            step = np.linalg.solve(A, -(gradient * free)[..., None])[..., 0]
-            trial = np.clip(q[rows] + step, lower, upper)
-            regulariser = None if previous is None else previous[rows]
-            new = self.objective(trial, targets[rows], weights[rows], regulariser)
-            better = new[0] <= loss
-            moved = np.abs(trial - q[rows]).max(axis=1)
-            q[rows[better]] = trial[better]
-            damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 10.0), 1e-6, 1e6)
-            loss = np.where(better, new[0], loss)
-            gradient = np.where(better[:, None], new[1], gradient)
-            H = np.where(better[:, None, None], new[2], H)
-            going = moved > TOLERANCE
-            if not going.any():
-                break
-            rows, loss, gradient, H = rows[going], loss[going], gradient[going], H[going]
-        return q
-
-    def objective(
-        self, q: np.ndarray, targets: np.ndarray, weights: np.ndarray, previous: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns loss (N,), gradient (N, n) and Gauss–Newton Hessian (N, n, n) at q (N, n), rad.
-        Other arguments are those of `solve`.
-        """
-        tips, J = self.kinematics.fingertips_and_jacobians(q)
-        count, fingers, _, n = J.shape
-        residual = self._difference @ tips - self._origin - targets
-        J = (self._difference @ J.reshape(count, fingers, 3 * n)).reshape(count, -1, n)
-        distance = np.sqrt((residual**2).sum(-1))
-        delta = self._huber_delta
-        huber = np.where(distance < delta, 0.5 * distance**2 / delta, distance - 0.5 * delta)
-        weights = weights / len(self.pairs)
-        loss = (weights * huber).sum(-1)
-        # h'(d)/d is the weight with which half the squared residual has the same gradient.
-        w = np.repeat(weights / np.maximum(distance, delta), 3, axis=-1)
-        weighted = J * w[..., None]
-        gradient = (residual.reshape(count, 1, -1) @ weighted)[:, 0]
-        H = np.swapaxes(J, -1, -2) @ weighted
-        if previous is not None:
-            away = q - previous
-            loss = loss + self._norm_delta * (away**2).sum(-1)
-            gradient = gradient + 2.0 * self._norm_delta * away
-            H += 2.0 * self._norm_delta * np.eye(n)
-        return loss, gradient, H

@@ -13,9 +13,8 @@ import functools
 import json
 import os
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from safetensors import safe_open
@@ -33,18 +32,7 @@ _KINDS = {kind.kind: kind for kind in (MlpRetargeter, UniversalRetargeter)}
 _NAMES = ("finger_names", "joint_names", "robot_hands")
 
 
-class RobotHand(Protocol):
-    """The part of a hand model on which a map depends."""
-
-    @property
-    def joint_names(self) -> Sequence[str]: ...
-    @property
-    def finger_names(self) -> Sequence[str]: ...
-    @property
-    def digest(self) -> str: ...
-
-
-def load_retargeter(source: str | os.PathLike, hand: RobotHand | None = None) -> Retargeter:
+def load_retargeter(source: str | os.PathLike, hand: Any = None) -> Retargeter:
     """Loads a trained map; needs only NumPy and safetensors.
 
     Args:
@@ -150,7 +138,7 @@ def _read_header(path: Path) -> dict[str, Any]:
     return header
 
 
-def _check_hand(path: Path, retargeter: Retargeter, hand: RobotHand) -> None:
+def _check_hand(path: Path, retargeter: Retargeter, hand: Any) -> None:
     for what in ("finger_names", "joint_names"):
         expected, names = tuple(getattr(hand, what)), getattr(retargeter, what)
         if expected != names:

@@ -16,8 +16,8 @@ from geort_drake.retargeting.descent import Losses, Report, device_of, minimise,
 from geort_drake.retargeting.geort import HUMAN_VOXEL, RetargetingModel
 from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.mlp import MlpRetargeter
+from geort_drake.retargeting.online import SCALE
 
-SCALE = 1.6  # α, robot over human, from dex-retargeting's settings for the Allegro hand
 REST_WEIGHT = 1e-3  # ε, weight of the regulariser
 LENGTH_UNIT = 0.1  # m; unit of the vectors in the loss
 

@@ -1,6 +1,5 @@
 """Trains the map of one person on a recording, and keeps trained maps in a cache."""
 
-import contextlib
 import dataclasses
 import hashlib
 import itertools
@@ -9,7 +8,7 @@ import math
 import os
 import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,8 +84,8 @@ def train_map(
         show_progress: draw a progress bar on stderr.
 
     Returns:
-        The map; its `info` has the settings, the losses and the origin. Warnings about the recording and the
-        training are issued as RuntimeWarning at the end, and are under "warnings" in the provenance.
+        The map; its `info` has the settings, the losses and the origin. Warnings about the recording are
+        issued as RuntimeWarning at the end, and are under "warnings" in the provenance.
 
     Raises:
         RecordingError, TrainingError, UnknownNameError: an argument is unusable, or the loss is not finite.
@@ -99,7 +98,7 @@ def train_map(
     messages = [f"narrow motion, {each}; {each.advice}" for each in motions if not each.enough]
     messages += check_fingertips(p_HF, hand.finger_names)
     started = time.perf_counter()
-    with progress_bar(show_progress) as bars, _collected(messages):
+    with progress_bar(show_progress) as bars:
         report = bars.losses("training", report)
         retargeter = find_method(method).fit(
             hand, p_HF, seed=seed, config=config, device=device, report=report
@@ -134,8 +133,8 @@ def cached_map(
     seed: int = 0,
     device: str = "cpu",
     settings: Mapping | None = None,
-) -> Path:
-    """Returns the file of the cached map for a hand and a recording; trains it first if it is missing.
+) -> tuple[Retargeter, Path]:
+    """Returns the cached map for a hand and a recording, and its file; trains it first if it is missing.
 
     The key covers the hand's model and description, the recording, method, seed, device, settings, and the
     code of `retargeting` and `hands`. A line on stderr announces a training. Warnings of the training are
@@ -143,9 +142,6 @@ def cached_map(
 
     Args:
         hand, recording, method, seed, device, settings: as in `train_map`.
-
-    Returns:
-        The file in `cache_dir() / "retargeters"`.
 
     Raises:
         RecordingError, TrainingError, UnknownNameError: as in `train_map`.
@@ -161,8 +157,8 @@ def cached_map(
     }
     key = hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()[:16]
     path = cache_dir() / "retargeters" / f"{hand.description.name}-{method}-{key}{SUFFIX}"
-    if _is_usable(path, hand):
-        return path
+    if (retargeter := _load_cached(path, hand)) is not None:
+        return retargeter, path
     require_writable(path)
     say(
         f"The cache has no {method} map for {hand.description.name} and this recording; training one "
@@ -171,20 +167,21 @@ def cached_map(
     path.parent.mkdir(parents=True, exist_ok=True)
     with locked(path.with_name(f".{path.name}.lock"), wait=True):
         # Another process may have trained it meanwhile.
-        if not _is_usable(path, hand):
+        if (retargeter := _load_cached(path, hand)) is None:
             train_map(hand, recording, method, seed, device, settings).save(path)
-    return path
+            retargeter = load_retargeter(path, hand)
+    return retargeter, path
 
 
-def _is_usable(path: Path, hand: "Hand") -> bool:
-    """Whether there is an undamaged map for the hand; repeats the warnings of its training."""
+def _load_cached(path: Path, hand: "Hand") -> Retargeter | None:
+    """Returns the undamaged map in a file, and repeats the warnings of its training; or None."""
     try:
-        info = load_retargeter(path, hand).info
+        retargeter = load_retargeter(path, hand)
     except MapError:
-        return False
-    for text in info["provenance"]["warnings"]:
+        return None
+    for text in retargeter.info["provenance"]["warnings"]:
         warnings.warn(text, RuntimeWarning, stacklevel=3)
-    return True
+    return retargeter
 
 
 def training_recording(source: Recording | str | os.PathLike | None, side: str, seed: int = 0) -> Recording:
@@ -236,16 +233,3 @@ def check_fingertips(p_HF: np.ndarray, finger_names: Sequence[str]) -> list[str]
         for (i, j), distance in zip(pairs, nearest, strict=True)
         if distance >= PINCH_M and "thumb" in finger_names
     ]
-
-
-@contextlib.contextmanager
-def _collected(messages: list[str]) -> Iterator[None]:
-    """Appends the RuntimeWarnings of the block to `messages`; issues all other warnings."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("default")  # a warning that occurs at every step is kept once
-        yield
-    for warning in caught:
-        if issubclass(warning.category, RuntimeWarning):
-            messages.append(str(warning.message))
-        else:
-            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
