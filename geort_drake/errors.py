@@ -53,6 +53,10 @@ class LiveError(GeortError):
     """A message cannot be used, or a glove or robot is missing or does not answer."""
 
 
+class FrameError(GeortError):
+    """Keypoints are not in the wrist frame, or of the other hand."""
+
+
 class MismatchError(LiveError):
     """A glove sends another version, unit or hand; waiting does not help."""
 

@@ -9,14 +9,14 @@ from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench, joint_plant
 
 from geort_drake import GloveReplay, Recording, RetargetingSystem
-from geort_drake.errors import HandError, RecordingError
+from geort_drake.errors import FrameError, HandError, RecordingError
 from geort_drake.simulation.task import PERIOD, Outcome
 from geort_drake.simulation.tasks.grasp import GraspPhase, GraspSettings, judgement
 from geort_drake.systems.glove import GloveRecorder
 from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import pose_to_vector
-from geort_drake.systems.retargeting_status import HELD_NOT_FINITE
+from geort_drake.systems.retargeting_status import HELD_NOT_FINITE, HELD_OUT_OF_RANGE
 from geort_drake.systems.retargeting_system import TRACKING
 from geort_drake.systems.wrist_to_arm import Clutch
 
@@ -108,6 +108,26 @@ def test_retargeting_holds_when_the_map_gives_no_number():
     bench = retargeting_bench(own)
     for step, (wanted, state) in enumerate(((0.1, TRACKING), (0.1, HELD_NOT_FINITE), (0.3, TRACKING))):
         bench.fix(keypoints=np.full(63, 1e-3 * step))
+        bench.advance()
+        np.testing.assert_allclose(bench.value("desired_state")[:3], wanted)
+        assert bench.value("status").state == state
+
+
+def test_retargeting_holds_where_the_map_refuses_the_frame_of_the_keypoints():
+    """One frame of the other hand holds the joints and stops no simulation; the next good one is followed."""
+
+    def own(keypoints):
+        if keypoints[0, 0] < 0.0:
+            raise FrameError("as of a left hand")
+        return keypoints[4, :3]
+
+    bench = retargeting_bench(own)
+    for x, wanted, state in (
+        (1e-3, 1e-3, TRACKING),
+        (-1e-3, 1e-3, HELD_OUT_OF_RANGE),
+        (2e-3, 2e-3, TRACKING),
+    ):
+        bench.fix(keypoints=np.full(63, x))
         bench.advance()
         np.testing.assert_allclose(bench.value("desired_state")[:3], wanted)
         assert bench.value("status").state == state

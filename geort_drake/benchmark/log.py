@@ -43,11 +43,6 @@ class TrialKey(NamedTuple):
         parts = [method, self.task, self.kind, self.condition, self.object, f"person {self.person}"]
         return ", ".join([*filter(None, parts), f"seed {self.seed}"])
 
-    @property
-    def file_stem(self) -> str:
-        """Stem of the name of the trial's own files."""
-        return "-".join(str(part) for part in self if part != "").replace("/", "_")
-
 
 def key_of(row: Row) -> TrialKey:
     """Returns the key of a row; raises KeyError if a field is missing."""

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from safetensors.numpy import save
 
-from geort_drake.errors import GeortError, MapError, UnknownNameError
+from geort_drake.errors import FrameError, GeortError, MapError, UnknownNameError
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import BASE_KEYPOINT, KEYPOINT_COUNT, MIDDLE_MCP, TIP_KEYPOINT, WRIST
 from geort_drake.retargeting.clouds import TrainedSpace
@@ -100,8 +100,8 @@ class Retargeter(ABC):
 
         Raises:
             ValueError: points have another shape.
-            GeortError: a coordinate is not finite, a fingertip is farther from the wrist than any hand's, or
-                keypoints are not in H, or of a left hand.
+            FrameError: keypoints are clearly not in H, or of a left hand.
+            GeortError: a coordinate is not finite, or a fingertip is farther from the wrist than any hand's.
         """
         p_HF = self.fingertips(points)
         return self._angles(p_HF) if p_HF.ndim == 3 else self._angles(p_HF[None])[0]
@@ -206,7 +206,7 @@ def _require_wrist_frame(p_HK: np.ndarray) -> None:
     off = np.abs(p[:, _ZERO_IN_H]).max(initial=0.0)
     if off > _OFF_FRAME or (p[:, _LITTLE_Y] - p[:, _INDEX_Y]).max(initial=0.0) > _OFF_FRAME:
         what = f"are off by {1e3 * off:.0f} mm" if off > _OFF_FRAME else "are mirrored, as of a left hand"
-        raise GeortError(
+        raise FrameError(
             "human points must be those of a right hand in the wrist frame H (origin at the wrist, z to the "
             f"middle knuckle, y to the index side), but {what}; Recording.from_keypoints transforms them"
         )

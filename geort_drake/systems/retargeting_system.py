@@ -10,7 +10,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
-from geort_drake.errors import GeortError, HandError
+from geort_drake.errors import FrameError, GeortError, HandError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.systems.glove_checks import GLOVE_FIELDS, GloveChecks, find_fault
 from geort_drake.systems.joint_limits import (
@@ -28,6 +28,7 @@ from geort_drake.systems.retargeting_status import (
     FROZEN,
     HELD_NOT_FINITE,
     HELD_OTHER_PERSON,
+    HELD_OUT_OF_RANGE,
     LIMITED,
     MEASURING,
     OUTSIDE,
@@ -253,15 +254,19 @@ class RetargetingSystem(PythonSystem):
         Returns:
             The state, if it is a hold, and the joint positions (n,) in actuator order, rad, or None to hold.
         """
-        if self._person_map is None:
-            q = self._retarget(p_HK.copy())  # a copy, because a user's function may change it
-        else:
-            person = discrete_state.get_mutable_value(self._person).view(PERSON_FIELDS)[0]
-            if not self._person_map.measure(person, p_HK):
-                return MEASURING, None
-            if self._person_map.is_other_person(person, p_HK, now):
-                return HELD_OTHER_PERSON, None
-            q = self._person_map(person, p_HK)
+        try:
+            if self._person_map is None:
+                q = self._retarget(p_HK.copy())  # a copy, because a user's function may change it
+            else:
+                person = discrete_state.get_mutable_value(self._person).view(PERSON_FIELDS)[0]
+                if not self._person_map.measure(person, p_HK):
+                    return MEASURING, None
+                if self._person_map.is_other_person(person, p_HK, now):
+                    return HELD_OTHER_PERSON, None
+                q = self._person_map(person, p_HK)
+        except FrameError:  # a bad frame, as of a camera that took the other hand for this one
+            memory["good_since"] = math.nan
+            return HELD_OUT_OF_RANGE, None
         q = np.asarray(q)
         if q.shape != self._to_plant.shape:
             raise HandError(f"the retargeter must return shape {self._to_plant.shape}; it returned {q.shape}")
