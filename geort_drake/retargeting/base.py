@@ -261,7 +261,8 @@ def require_arrays(
                 if len(axis) == 1 and axis.isalpha():
                     sizes.setdefault(axis, size)
             with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
-                usable = value.shape == axes_of(shape, sizes) and np.isfinite(value.astype(np.float32)).all()
+                finite = bool(np.isfinite(value.astype(np.float32)).all())
+            usable = finite and value.shape == axes_of(shape, sizes)
         if not usable:
             lengths = ", ".join(f"{letter} = {size}" for letter, size in sizes.items())
             raise MapError(
