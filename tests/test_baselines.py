@@ -9,6 +9,7 @@ from retargeting_toy import toy_human, toy_kinematics
 
 from geort_drake.errors import GeortError, HandError, UnknownNameError
 from geort_drake.hands.kinematics import HandKinematics
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting import METHODS, find_method
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.retargeting.kinematics import fingertips
@@ -91,7 +92,7 @@ def test_limits_are_respected_and_every_input_shape_is_accepted(kinematics, name
     q = retarget(frames)
     assert q.shape == (12, 16)
     assert (q >= kinematics.lower).all() and (q <= kinematics.upper).all()
-    hands = rng.uniform(-0.2, 0.2, (3, 21, 3))
+    hands = HumanHand.measured_adult().in_wrist_frame().keypoints(np.zeros((3, 20)))
     assert retarget(hands).shape == (3, 16) and retarget(hands[0]).shape == (16,)
     assert retarget.joint_names == kinematics.joint_names
     assert retarget.finger_names == kinematics.finger_names

@@ -91,9 +91,9 @@ def test_every_method_is_scored_under_every_protocol(evaluate, play, tmp_path, c
         assert title in said.err
 
 
-def test_a_map_is_scored_only_where_its_training_fits(evaluate, play, quick, capsys):
+def test_a_map_is_scored_only_where_its_training_fits(evaluate, play, quick, allegro, capsys):
     """It cannot be held out; what it learned from decides which of the other protocols it is for."""
-    path = quick("allegro_right", play)
+    _, path = quick(allegro, play)
     code, report = evaluate(f"--methods {path} --held-out 2 --score-on other.npz")
     assert code == 1
     for protocol in ("same_person", "other_person"):
@@ -101,7 +101,7 @@ def test_a_map_is_scored_only_where_its_training_fits(evaluate, play, quick, cap
     assert {row["protocol"] for row in report["errors"]} == {"held_out"}
     assert "cannot be trained without the block" in report["errors"][0]["error"]
     assert "block 1 of 2, seed 0" in " ".join(capsys.readouterr().err.split())
-    other_person = quick("allegro_right", synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
+    _, other_person = quick(allegro, synthesize_play(2, duration_s=20.0, rate_hz=30.0), seed=1)
     code, report = evaluate(f"--methods {other_person}")
     assert code == 1
     (failed,) = report["errors"]
