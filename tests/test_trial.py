@@ -21,6 +21,8 @@ from pydrake.math import RigidTransform
 from system_bench import SystemBench
 
 from geort_drake import Recording, load_retargeter, run_trial, synthesize_play
+from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.simulation.free_play import keep_reached, seen_fingertips
@@ -252,6 +254,16 @@ def test_another_person_has_another_hand():
     own, first, other, again = (builder.person(number) for number in (0, 1, 2, 1))
     np.testing.assert_array_equal(first.lengths, again.lengths)
     assert len({hand.lengths.sum() for hand in (own, first, other)}) == 3
+
+
+def test_a_person_who_hardly_moved_in_the_recording_can_do_so_in_a_trial():
+    timid = next(person for number in range(20) if (person := sample_person(1, number)).amplitude.max() < 0.6)
+    recorded = HumanHand.fit(timid.record(20.0))
+    person = TrialBuilder(allegro(), timid.record(20.0)).person(0)
+    adult = HumanHand.measured_adult()
+    assert np.mean(recorded.upper - recorded.lower) < 0.8 * np.mean(adult.upper - adult.lower)
+    assert (person.lower <= adult.lower).all() and (person.upper >= adult.upper).all()
+    np.testing.assert_array_equal(person.lengths, recorded.lengths)
 
 
 @pytest.mark.parametrize("name", shipped_maps())

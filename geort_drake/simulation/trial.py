@@ -70,12 +70,14 @@ class TrialBuilder:
     Args:
         hand: model of the robot's hand.
         recording: recording of the hand of person 0, see `Scenario.person`; by default `measured_adult`'s.
+            The joints of that hand move as far as the recorded ones did, and at least as far as an adult's.
     """
 
     def __init__(self, hand: Hand, recording: Recording | None = None):
         self._hand = hand
         self._plans: dict[str, Sequence[Goal]] = {}
-        first = HumanHand.fit(recording) if recording else HumanHand.measured_adult()
+        adult = HumanHand.measured_adult()
+        first = HumanHand.fit(recording).with_range_of(adult) if recording else adult
         self._people: dict[int, HumanHand] = {0: first}
         # The maps by whose identity a practice is found are kept with it.
         self._practice: dict[tuple, tuple[Retarget, Retarget, FreePlay]] = {}

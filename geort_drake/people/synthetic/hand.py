@@ -243,6 +243,14 @@ class HumanHand:
             upper=np.percentile(theta, 99.5, axis=0) + margin,
         )
 
+    def with_range_of(self, other: "HumanHand") -> "HumanHand":
+        """Returns this hand with joints that also move as far as another's.
+
+        In a recording, a person need not move as far as they can.
+        """
+        lower, upper = np.minimum(self.lower, other.lower), np.maximum(self.upper, other.upper)
+        return dataclasses.replace(self, lower=lower, upper=upper)
+
     def first_bone(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Returns the axes of the fingers' first bones, and the bends of the other two.
 
