@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from pydrake.multibody.plant import AddMultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, InputPort
 from pydrake.systems.primitives import TrajectorySource
@@ -46,7 +47,7 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks.grasp import GraspPhase
 from geort_drake.simulation.trial import run_trial
-from geort_drake.simulation.world import ARM, HAND, add_scene
+from geort_drake.simulation.world import ARM, HAND, add_placed_object, add_robot, finalize
 
 TURN = 0.25  # simulated s
 RECORDED, PLAIN, FINER = "everything on", "no recording", "everything on, half the step"
@@ -122,15 +123,19 @@ class RobotAlone:
         """`t` (T,) are times, s; `targets` are the desired states (T, 2n) of each model at these times."""
         builder = DiagramBuilder()
         rng = np.random.default_rng(scenario.random_seed)
-        scene = add_scene(builder, scenario, load_hand(scenario.hand), rng)
+        description = load_hand(scenario.hand)
+        plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
+        add_robot(plant, scenario, description)
+        body, _, _ = add_placed_object(plant, scene_graph, scenario, description, rng)
+        finalize(plant, scenario, description, body.model_instance())
         for name, states in targets.items():
             source = TrajectorySource(PiecewisePolynomial.ZeroOrderHold(t, np.transpose(states)))
-            model = scene.plant.GetModelInstanceByName(name)
+            model = plant.GetModelInstanceByName(name)
             builder.Connect(
-                builder.AddSystem(source).get_output_port(), scene.plant.get_desired_state_input_port(model)
+                builder.AddSystem(source).get_output_port(), plant.get_desired_state_input_port(model)
             )
         self._simulator, self._end = Simulator(builder.Build()), t[-1]
-        remove_visuals(scene.plant, scene.scene_graph, self._simulator.get_mutable_context())
+        remove_visuals(plant, scene_graph, self._simulator.get_mutable_context())
         self.simulated: list[float] = []
         self.cpu: list[float] = []
         self.phases = [""]

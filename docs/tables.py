@@ -202,7 +202,7 @@ def objects_table() -> str:
     from pydrake.systems.framework import DiagramBuilder
 
     from geort_drake.resources import object_names
-    from geort_drake.simulation.object_shape import object_shape
+    from geort_drake.simulation.object_shape import ObjectShape
     from geort_drake.simulation.plan.contacts import grip_of
     from geort_drake.simulation.world import add_object
 
@@ -212,7 +212,7 @@ def objects_table() -> str:
         body, inspector = add_object(plant, name), scene_graph.model_inspector()
         solid = inspector.GetProximityProperties(plant.GetCollisionGeometriesForBody(body)[0])
         friction = solid.GetProperty("material", "coulomb_friction").static_friction()
-        shape, extents = object_shape(plant, inspector, body), []
+        shape, extents = ObjectShape(plant, inspector, body), []
         for axis in np.eye(3):
             ups = (RotationMatrix.MakeFromOneVector(up, 2) for up in (axis, -axis))
             extents.append(-sum(shape.lowest_point(RigidTransform(R.inverse())) for R in ups))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
 from shared import shared, synthesized
 
 from geort_drake import Hand, Recording, load_scenario, run_trial
@@ -23,7 +24,7 @@ from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import PERIOD, Judgement, Outcome, Task, TrialResult
+from geort_drake.simulation.task import PERIOD, Judgement, Outcome, Stage, Task, TrialResult
 from geort_drake.simulation.tasks import find_task
 
 GAIN = 1.5
@@ -35,6 +36,12 @@ TOO_SHORT = "{timeout: 0.3}"
 def allegro() -> Hand:
     """The robot hand of the shipped scenario."""
     return Hand("allegro_right")
+
+
+def stage_of(builder: DiagramBuilder, scenario: Scenario, description: HandDescription) -> Stage:
+    """The stage of a grasp in a diagram; seed 0 places the object."""
+    rng = np.random.default_rng(0)
+    return find_task(scenario.task).add_stage(builder, scenario, description, None, RigidTransform(), rng)
 
 
 def play() -> Recording:

@@ -335,14 +335,17 @@ def test_seeds_are_paired_across_methods(tmp_path):
     for each in keys[:3]:
         scenario = load_scenario(text=f"{{timeout: 0.4, random_seed: {each.seed}}}")
         retarget = benchmark._maps[each.method, 0]
-        drawn = make_trial_diagram(scenario, retarget, human).stage.scene.placement
+        stage = make_trial_diagram(scenario, retarget, human).stage
         glove = run_trial(scenario, retarget, human)[1]
         # The person first decides at the sample after the visual delay, and sees what the method does with it
         # one sample later. The arm moves without the method.
         first = round(scenario.operator.visual_delay / scenario.operator.period)
         assert not np.array_equal(glove.p_HK[first], glove.p_HK[0])
-        place = drawn.X_WO.GetAsMatrix4()
-        seen.append((place, drawn.mass_factor, drawn.friction_factor, glove.p_HK[: first + 1], glove.X_WH))
+        place = stage.plant.GetDefaultFloatingBaseBodyPose(stage.body).GetAsMatrix4()
+        geometry, *_ = stage.plant.GetCollisionGeometriesForBody(stage.body)
+        properties = stage.scene_graph.model_inspector().GetProximityProperties(geometry)
+        friction = properties.GetProperty("material", "coulomb_friction").static_friction()
+        seen.append((place, stage.mass_factor, friction, glove.p_HK[: first + 1], glove.X_WH))
     for value, of_same_seed, of_other_seed in zip(*seen, strict=True):
         np.testing.assert_array_equal(value, of_same_seed)
         assert not np.array_equal(value, of_other_seed)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from grasp_setup import stage_of
 from hand_family import HandSpec, write_hand
 from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform
@@ -20,8 +21,6 @@ from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.kinematics import fingertips
-from geort_drake.simulation.world import add_scene
-from geort_drake.systems.scene_view import SceneView
 
 
 def _uniform(hand: Hand, rng, count: int) -> np.ndarray:
@@ -217,38 +216,34 @@ def description(tmp_path) -> HandDescription:
 def _seen(description: HandDescription, text: str = "{}"):
     """That hand in the shipped scenario with a ball.
 
-    Returns the scene, its plant's context, and what looks at a port with the ball's centre at p_BO.
+    Returns the stage, its plant's context, and what looks at a port with the ball's centre at p_BO.
     """
     scenario, builder = load_scenario(text=text), DiagramBuilder()
     scenario.object.name = "sphere"
-    scene = add_scene(builder, scenario, description, np.random.default_rng(0))
-    plant, thing = scene.plant, scene.body
-    inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
-    view = builder.AddSystem(SceneView(plant, description, scene.hand, thing.index(), inspector))
-    for port in ("body_poses", "contact_results"):
-        builder.Connect(plant.GetOutputPort(port), view.GetInputPort(port))
+    stage = stage_of(builder, scenario, description)
+    plant, thing, view = stage.plant, stage.body, builder.GetSubsystemByName("scene_view")
     root = builder.Build().CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
-    base = plant.GetFrameByName(description.base_frame, scene.hand)
+    base = plant.GetFrameByName(description.base_frame, stage.hand)
 
     def look(port: str, p_BO) -> np.ndarray:
         X_WO = RigidTransform(base.CalcPoseInWorld(context) @ np.asarray(p_BO))
         plant.SetFloatingBaseBodyPoseInWorldFrame(context, thing, X_WO)
         return view.GetOutputPort(port).Eval(view.GetMyContextFromRoot(root))
 
-    return scene, context, look
+    return stage, context, look
 
 
-def _in_base(scene, description: HandDescription, context, link: str) -> RigidTransform:
-    base = scene.plant.GetFrameByName(description.base_frame, scene.hand)
-    return scene.plant.GetBodyByName(link, scene.hand).body_frame().CalcPose(context, base)
+def _in_base(stage, description: HandDescription, context, link: str) -> RigidTransform:
+    base = stage.plant.GetFrameByName(description.base_frame, stage.hand)
+    return stage.plant.GetBodyByName(link, stage.hand).body_frame().CalcPose(context, base)
 
 
 def test_a_finger_has_all_links_that_its_motors_move(description):
     """Including followers; held links belong to the palm."""
     description.fingers[2].joints.remove("middle_j0")
-    scene, *_ = _seen(description)
-    plant, hand = scene.plant, scene.hand
+    stage, *_ = _seen(description)
+    plant, hand = stage.plant, stage.hand
     parts = HandInPlant(plant, description, hand)
     names = [[body.name() for body in links] for links in parts.finger_links()]
     links = {"thumb": range(3), "index": range(4), "middle": range(1, 4)}
@@ -261,9 +256,9 @@ def test_a_finger_has_all_links_that_its_motors_move(description):
 @pytest.mark.parametrize("link", ["index_l1", "index_l2", "index_l3"])
 def test_contact_on_a_follower_counts_for_its_finger(description, link):
     """An object that overlaps one link of the index is in contact with the index alone."""
-    scene, context, look = _seen(description)
+    stage, context, look = _seen(description)
     # Beside the middle of the link, on the thumb's side, where no other finger is.
-    p_BL = _in_base(scene, description, context, link).translation()
+    p_BL = _in_base(stage, description, context, link).translation()
     contact = look("contact", p_BL + [0.0, 0.031, 0.01])
     assert contact[1] > 0.1
     assert contact[0] == contact[2] == 0.0
@@ -271,27 +266,27 @@ def test_contact_on_a_follower_counts_for_its_finger(description, link):
 
 def test_self_contact_equals_collisions_beyond_tips(allegro):
     """Links of the Allegro that touch count, two fingertips do not."""
-    scene, context, look = _seen(allegro.description)
+    stage, context, look = _seen(allegro.description)
     q = np.random.default_rng(0).uniform(allegro.lower, allegro.upper, (2000, len(allegro.lower)))
     beyond, touching = allegro.collides_beyond_tips(q), allegro.collides(q)
     tips_alone = touching & ~beyond
     assert min(beyond.sum(), (~touching).sum(), tips_alone.sum()) >= 3
     for row, expected in [*zip(q[:60], beyond[:60], strict=True), *((r, False) for r in q[tips_alone])]:
         for name, angle in zip(allegro.joint_names, row, strict=True):
-            scene.plant.GetJointByName(name, scene.hand).set_angle(context, angle)
+            stage.plant.GetJointByName(name, stage.hand).set_angle(context, angle)
         assert look("self_contact", [1.0, 0.0, 0.0]).tolist() == [float(expected)]
 
 
 @pytest.mark.parametrize(("text", "soft"), [("{fingertip_modulus: 0}", False), ("{}", True)])
 def test_touch_is_felt_with_rigid_fingertips_and_with_soft_ones_as_by_default(text, soft, allegro):
     """A ball 1 mm deep in one fingertip presses on it, by a point or by a surface."""
-    scene, context, look = _seen(allegro.description, text)
+    stage, context, look = _seen(allegro.description, text)
     index = allegro.description.fingers[1]
     # In front of the finger pad; the ball's radius is 30 mm.
     p_LO = np.array(index.tip_point) + [index.tip_radius + 0.029, 0.0, 0.0]
-    p_BO = _in_base(scene, allegro.description, context, index.tip_link) @ p_LO
+    p_BO = _in_base(stage, allegro.description, context, index.tip_link) @ p_LO
     contact = look("contact", p_BO)
-    results = scene.plant.get_contact_results_output_port().Eval(context)
+    results = stage.plant.get_contact_results_output_port().Eval(context)
     assert (results.num_hydroelastic_contacts() > 0) == soft
     assert contact[1] > 0.05 and contact[[0, 2, 3]].max() == 0
     assert look("self_contact", p_BO)[0] == 0

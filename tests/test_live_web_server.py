@@ -208,15 +208,15 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     scenario = load_scenario()
     description = load_hand(scenario.hand)
     robot = SimulatedRobot(scenario, RobotModel(scenario, description))
-    plant, body = robot.stage.scene.plant, robot.stage.scene.body
-    inspector = robot.stage.scene.scene_graph.model_inspector()
+    plant, body = robot.stage.plant, robot.stage.body
+    inspector = robot.stage.scene_graph.model_inspector()
     scene = PageScene(plant, inspector, description)
     facts = json.loads(json.dumps(scene.description))
     names, looks = facts["moving"], facts["geometries"]
     assert names[facts["hand_base"]["moving"]].startswith("hand::")
     assert {look["moving"] for look in looks} - {None} == {*range(len(names))}
     points, root = np.arange(63.0).reshape(21, 3), robot.diagram.CreateDefaultContext()
-    robot.stage.scene.initialize(root)
+    robot.stage.initialize(root)
     X_WO = plant.GetDefaultFloatingBaseBodyPose(body)
     link = plant.GetBodyByName("link_15").EvalPoseInWorld(plant.GetMyContextFromRoot(root))
     poses = robot.diagram.GetOutputPort("body_poses").Eval(root)

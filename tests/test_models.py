@@ -12,7 +12,7 @@ from pydrake.systems.analysis import Simulator
 
 from geort_drake import Hand
 from geort_drake.resources import models_dir
-from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.object_shape import ObjectShape
 
 SDF = models_dir() / "sdf"
 PUBLISHED = yaml.safe_load(Path(__file__).with_name("published_models.yaml").read_text("utf-8"))
@@ -47,7 +47,7 @@ def test_objects_stand_on_the_plinth(path):
     """An object released on the plinth moves by less than 1 mm and turns by less than 0.5° in 1 s."""
     scene = Scene(SDF / "plinth.sdf", path, welded=("plinth_base",))
     body = scene.plant.GetBodyByName(path.stem)
-    shape = object_shape(scene.plant, scene.scene_graph.model_inspector(), body)
+    shape = ObjectShape(scene.plant, scene.scene_graph.model_inspector(), body)
     height = 0.1 - shape.lowest_point(RigidTransform())
     start = RigidTransform(RotationMatrix.MakeZRotation(0.3), [0.01, -0.005, height])
     scene.plant.SetFreeBodyPose(scene.context, body, start)

@@ -14,7 +14,7 @@ from geort_drake import Hand, load_hand, load_retargeter, load_scenario, make_tr
 from geort_drake.errors import HandError
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
-from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.plan.contacts import GRIPS, grip_contacts, palm_contact
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.world import HAND, add_object, add_robot
@@ -49,7 +49,7 @@ def test_a_hand_sits_on_the_adapter_and_touches_nothing(name):
 def test_a_left_hands_contacts_are_mirrored(grip, name):
     """At the opposite yaw a left hand's contacts are a right one's with y negated."""
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.0)
-    shape = object_shape(plant, scene_graph.model_inspector(), add_object(plant, name))
+    shape = ObjectShape(plant, scene_graph.model_inspector(), add_object(plant, name))
     yaw = 0.0 if name == "wide_box" else 0.4
     of_right = [*grip_contacts(shape, yaw, 0.5, grip), palm_contact(shape, yaw, 0.5)]
     of_left = [*grip_contacts(shape, -yaw, 0.5, grip, "left"), palm_contact(shape, -yaw, 0.5, "left")]

@@ -18,7 +18,7 @@ from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.resources import object_names
 from geort_drake.simulation.free_play import keep_reached
-from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.contacts import (
     GRIPS,
@@ -48,7 +48,7 @@ class ObjectAlone(Scene):
     def __init__(self, name: str):
         super().__init__(object_file(name), welded=(name,))
         body = self.plant.GetBodyByName(name)
-        self.shape = object_shape(self.plant, self.scene_graph.model_inspector(), body)
+        self.shape = ObjectShape(self.plant, self.scene_graph.model_inspector(), body)
 
     def distance(self, p_O: np.ndarray) -> float:
         """Signed distance of a point from the object, m."""
@@ -141,7 +141,7 @@ def test_a_planned_grasp_touches_and_nothing_collides(name):
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
     add_robot(plant, scenario, description)
     body = add_object(plant, name)
-    lowest = object_shape(plant, scene_graph.model_inspector(), body).lowest_point(RigidTransform())
+    lowest = ObjectShape(plant, scene_graph.model_inspector(), body).lowest_point(RigidTransform())
     plant.Finalize()
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()

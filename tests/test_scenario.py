@@ -4,19 +4,20 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
-from grasp_setup import scenario_with
+from grasp_setup import scenario_with, stage_of
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Role, Sphere
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake import load_hand, load_scenario
 from geort_drake.errors import HandError, ScenarioError
 from geort_drake.resources import diagrams_dir
-from geort_drake.simulation.object_shape import ObjectShape, object_shape
+from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.scenario import dump_scenario
-from geort_drake.simulation.world import Scene, add_object, add_robot, add_scene, draw_placement
+from geort_drake.simulation.task import Stage
+from geort_drake.simulation.world import add_object, add_robot, draw_placement
 
 SHIPPED = [
     (file, name)
@@ -102,19 +103,19 @@ def test_the_placement_is_the_seeds_and_within_its_ranges():
     scenario = scenario_with("cylinder")
     config = scenario.object
     placements = [draw_placement(scenario, -0.05, np.random.default_rng(seed)) for seed in range(300)]
-    p = np.array([placement.X_WO.translation() for placement in placements])
+    poses, *factors = zip(*placements, strict=True)
+    p = np.array([X_WO.translation() for X_WO in poses])
     offsets = p[:, :2] - config.position
     assert np.abs(offsets).max() <= config.position_range
     assert np.abs(offsets).max(axis=0).min() > 0.9 * config.position_range
     np.testing.assert_allclose(p[:, 2], config.support_height + 0.05, atol=1e-12)
-    yaw = np.array([np.arctan2(*placement.X_WO.rotation().matrix()[[1, 0], 0]) for placement in placements])
+    yaw = np.array([np.arctan2(*X_WO.rotation().matrix()[[1, 0], 0]) for X_WO in poses])
     assert 0.9 * config.yaw_range < np.abs(yaw).max() <= config.yaw_range
-    for name, largest in (("mass_factor", config.mass_range), ("friction_factor", config.friction_range)):
-        factor = np.array([getattr(placement, name) for placement in placements])
-        assert 0.9 * largest < np.abs(factor - 1).max() <= largest == 0.2
-    again = draw_placement(scenario, -0.05, np.random.default_rng(7))
-    np.testing.assert_array_equal(again.X_WO.GetAsMatrix4(), placements[7].X_WO.GetAsMatrix4())
-    assert again.friction_factor == placements[7].friction_factor
+    for factor, largest in zip(factors, (config.mass_range, config.friction_range), strict=True):
+        assert 0.9 * largest < np.abs(np.array(factor) - 1).max() <= largest == 0.2
+    X_WO, *again = draw_placement(scenario, -0.05, np.random.default_rng(7))
+    np.testing.assert_array_equal(X_WO.GetAsMatrix4(), poses[7].GetAsMatrix4())
+    assert again == [factor[7] for factor in factors]
 
 
 def test_friction_and_stiffness_are_scaled_in_the_plant():
@@ -122,12 +123,12 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
     text = "{hand_stiffness_factor: 4.0, object: {friction_factor: 0.5}}"
     # Both have the same seed, and so the same draw of friction on top.
     scaled, nominal = (
-        add_scene(DiagramBuilder(), scenario, load_hand(scenario.hand), np.random.default_rng(0))
+        stage_of(DiagramBuilder(), scenario, load_hand(scenario.hand))
         for scenario in (scenario_with("cylinder", text), scenario_with("cylinder"))
     )
 
-    def coefficients(scene: Scene) -> dict[str, float]:
-        inspector = scene.scene_graph.model_inspector()
+    def coefficients(stage: Stage) -> dict[str, float]:
+        inspector = stage.scene_graph.model_inspector()
         return {
             inspector.GetName(geometry): inspector.GetProximityProperties(geometry)
             .GetProperty("material", "coulomb_friction")
@@ -135,9 +136,9 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
             for geometry in inspector.GetAllGeometryIds(Role.kProximity)
         }
 
-    def gains(scene: Scene) -> dict[str, tuple[float, float]]:
-        indices = scene.plant.GetJointActuatorIndices()
-        actuators = [scene.plant.get_joint_actuator(index) for index in indices]
+    def gains(stage: Stage) -> dict[str, tuple[float, float]]:
+        indices = stage.plant.GetJointActuatorIndices()
+        actuators = [stage.plant.get_joint_actuator(index) for index in indices]
         return {a.name(): (a.get_controller_gains().p, a.get_controller_gains().d) for a in actuators}
 
     before, after = coefficients(nominal), coefficients(scaled)
@@ -176,7 +177,11 @@ def test_no_point_of_the_surface_is_lower(names):
     rng = np.random.default_rng(1)
     for _ in range(3):
         X_WO, placed = pose(rng), [(SHAPES[name], pose(rng)) for name in names]
-        shape = ObjectShape(tuple((primitive, X_OG) for (primitive, _), X_OG in placed))
+        plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 0.0)
+        body = plant.AddRigidBody("thing")
+        for number, ((primitive, _), X_OG) in enumerate(placed):
+            plant.RegisterCollisionGeometry(body, X_OG, primitive, str(number), CoulombFriction(1.0, 1.0))
+        shape = ObjectShape(plant, scene_graph.model_inspector(), body)
         lowest = min((X_WO @ X_OG).multiply(points.T)[2].min() for (_, points), X_OG in placed)
         assert shape.lowest_point(X_WO) == pytest.approx(lowest, abs=3e-6)
         assert shape.lowest_point(X_WO) <= lowest + 1e-12
@@ -188,4 +193,4 @@ def test_an_object_without_usable_geometry_is_refused_by_name():
     sdf = f"<sdf version='1.11'><model name='thing'><link name='thing'>{plane}</link></model></sdf>"
     Parser(plant).AddModelsFromString(sdf, "sdf")
     with pytest.raises(ScenarioError, match=r"object 'thing' needs .* Box, Capsule, .* it has: HalfSpace"):
-        object_shape(plant, scene_graph.model_inspector(), plant.GetBodyByName("thing"))
+        ObjectShape(plant, scene_graph.model_inspector(), plant.GetBodyByName("thing"))

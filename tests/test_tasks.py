@@ -114,14 +114,14 @@ def after(torque: float) -> tuple[float, float, Outcome]:
     rng = np.random.default_rng(0)
     goal, X_WB = plans("cap")[0].goal, RigidTransform([0, 0, 1.0])
     stage = task.add_stage(builder, scenario, allegro().description, goal, X_WB, rng)
-    plant = stage.scene.plant
+    plant = stage.plant
     thread = plant.GetJointByName("thread")
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
     forces = torque * (np.arange(plant.num_velocities()) == thread.velocity_start())
     plant.get_applied_generalized_force_input_port().FixValue(context, forces)
-    for model in (stage.scene.hand, stage.scene.arm):
+    for model in (stage.hand, stage.arm):
         q = plant.GetPositions(context, model)
         plant.get_desired_state_input_port(model).FixValue(context, np.concatenate([q, 0 * q]))
     height = plant.GetBodyByName("cap").EvalPoseInWorld(context).translation() @ up_B

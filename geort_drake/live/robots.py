@@ -62,13 +62,12 @@ class SimulatedRobot:
         rng = np.random.default_rng(scenario.random_seed)
         task = find_task(scenario.task)
         self.stage = task.add_stage(builder, scenario, model.description, None, model.X_WB, rng)
-        scene = self.stage.scene
-        plant, hand, arm = scene.plant, scene.hand, scene.arm
+        plant, hand, arm = self.stage.plant, self.stage.hand, self.stage.arm
         for instance, name in ((hand, HAND), (arm, ARM)):
             builder.ExportInput(plant.get_desired_state_input_port(instance), f"{name}_desired_state")
             builder.ExportOutput(actuated_state(builder, plant, instance), f"{name}_state")
         if meshcat is not None:
-            MeshcatVisualizer.AddToBuilder(builder, scene.scene_graph, meshcat)
+            MeshcatVisualizer.AddToBuilder(builder, self.stage.scene_graph, meshcat)
         builder.ExportOutput(plant.get_body_poses_output_port(), "body_poses")
         self.diagram = builder.Build()
 

@@ -122,7 +122,7 @@ def run_session(
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
     if loop.stage is not None:
-        loop.stage.scene.initialize(root)
+        loop.stage.initialize(root)
     loop.engage(root, engaged)
     simulator.Initialize()
     report = report or SessionReport()

@@ -51,8 +51,8 @@ class TrialDiagram:
 
         The recorder no longer needs that geometry: it read it when the diagram was built.
         """
-        remove_visuals(self.plant, self.stage.scene.scene_graph, root)
-        self.stage.scene.initialize(root)
+        remove_visuals(self.plant, self.stage.scene_graph, root)
+        self.stage.initialize(root)
 
 
 def make_trial_diagram(
@@ -88,7 +88,7 @@ def make_trial_diagram(
     task = find_task(scenario.task)
     goal = None if isinstance(human, Recording) else human[1]
     stage = task.add_stage(builder, scenario, description, goal, X_WB_start, rng)
-    plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
+    plant, arm, hand = stage.plant, stage.arm, stage.hand
 
     # A left hand is operated by the mirror image of a right-handed person, who sees the mirrored scene.
     in_mirror = description.side == "left"

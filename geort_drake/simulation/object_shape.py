@@ -1,6 +1,5 @@
 """Reads the shape of an object from its model, as convex primitives."""
 
-import dataclasses as dc
 import functools
 
 import numpy as np
@@ -14,11 +13,29 @@ from geort_drake.errors import ScenarioError
 CONVEX_PRIMITIVES = (Box, Capsule, Cylinder, Ellipsoid, Sphere)
 
 
-@dc.dataclass(frozen=True)
 class ObjectShape:
-    """Convex primitives G fixed in the object's frame O, with their poses X_OG."""
+    """Convex primitives G fixed in an object's frame O: the collision geometry of its body.
 
-    parts: tuple[tuple[Shape, RigidTransform], ...]
+    Attributes:
+        parts: the primitives, with their poses X_OG.
+
+    Raises:
+        ScenarioError: the body has no collision geometry, or geometry other than convex primitives.
+    """
+
+    def __init__(self, plant: MultibodyPlant, inspector: SceneGraphInspector, body: RigidBody):
+        # Copies, which do not keep the scene graph alive.
+        self.parts: tuple[tuple[Shape, RigidTransform], ...] = tuple(
+            (inspector.GetShape(geometry).Clone(), RigidTransform(inspector.GetPoseInFrame(geometry)))
+            for geometry in plant.GetCollisionGeometriesForBody(body)
+        )
+        kinds = [type(shape).__name__ for shape, _ in self.parts]
+        if not self.parts or not all(isinstance(shape, CONVEX_PRIMITIVES) for shape, _ in self.parts):
+            choices = ", ".join(kind.__name__ for kind in CONVEX_PRIMITIVES)
+            raise ScenarioError(
+                f"object '{body.name()}' needs collision geometry made of {choices}; it has: "
+                f"{', '.join(kinds) or 'none'}"
+            )
 
     @property
     def main(self) -> tuple[Shape, RigidTransform]:
@@ -51,27 +68,6 @@ class ObjectShape:
             np.array(disk),
             np.array(ellipsoid),
         )
-
-
-def object_shape(plant: MultibodyPlant, inspector: SceneGraphInspector, body: RigidBody) -> ObjectShape:
-    """Reads the collision geometry of `body`.
-
-    Raises:
-        ScenarioError: the body has no collision geometry, or geometry other than convex primitives.
-    """
-    # Copies, which do not keep the scene graph alive.
-    parts = tuple(
-        (inspector.GetShape(geometry).Clone(), RigidTransform(inspector.GetPoseInFrame(geometry)))
-        for geometry in plant.GetCollisionGeometriesForBody(body)
-    )
-    kinds = [type(shape).__name__ for shape, _ in parts]
-    if not parts or not all(isinstance(shape, CONVEX_PRIMITIVES) for shape, _ in parts):
-        choices = ", ".join(kind.__name__ for kind in CONVEX_PRIMITIVES)
-        raise ScenarioError(
-            f"object '{body.name()}' needs collision geometry made of {choices}; it has: "
-            f"{', '.join(kinds) or 'none'}"
-        )
-    return ObjectShape(parts)
 
 
 def half_extents(shape: Shape) -> np.ndarray:

@@ -79,7 +79,7 @@ def add_trial_recorder(
         hand_source: provides keypoints and wrist pose of the hand that is drawn.
         properties: properties of the recording besides hand, object, delays and software versions.
     """
-    plant, arm, hand = stage.scene.plant, stage.scene.arm, stage.scene.hand
+    plant, arm, hand = stage.plant, stage.arm, stage.hand
     system = builder.GetSubsystemByName
     glove = "worn_glove" if builder.HasSubsystemNamed("worn_glove") else "glove_replay"
     source = system("operator" if seen else glove)
@@ -137,7 +137,7 @@ def add_trial_recorder(
         color=[(*color, 130) for color in colors],
         derive=lambda states: fingertips(states[:, :n]).reshape(len(states), -1),
     )
-    for body in stage.bodies:
+    for body in stage.free_bodies:
         specs["object/path"] = _path(plant, body)
     if seen:
         start = scenario.operator.visual_delay
@@ -149,13 +149,13 @@ def add_trial_recorder(
     return add_rerun_recorder(
         builder,
         plant,
-        stage.scene.scene_graph,
+        stage.scene_graph,
         path,
         specs,
         period=scenario.recording_period,
         # Long arrows, so that the few newtons of a grasp are visible.
         contact=ContactSpec(groups=links, metres_per_newton=0.04, max_length=0.2),
-        close_ups=_close_ups(plant, description, stage.bodies, fingertips),
+        close_ups=_close_ups(plant, description, stage.free_bodies, fingertips),
         # From the thumb's side, where nothing hides what the hand holds.
         view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
         text=_text(scenario, properties, "unknown: the trial did not end"),

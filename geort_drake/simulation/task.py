@@ -14,7 +14,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
-from pydrake.multibody.tree import Joint, RigidBody
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, OutputPort, State
 from pydrake.systems.primitives import ConstantVectorSource
 
@@ -26,7 +26,7 @@ from geort_drake.simulation.person.engine import KINDS, Person, Phase
 from geort_drake.simulation.person.goal import Goal, Plan
 from geort_drake.simulation.person.handling import Placing
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.world import Placement, Scene, add_robot, finish_scene, joint_state
+from geort_drake.simulation.world import ARM, HAND, add_robot, finalize, joint_state
 from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR, Immutable
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.scene_view import SceneView
@@ -208,7 +208,7 @@ class Handled:
         states: names of the states that `Outcome.phase` counts.
         parts: other bodies that count as parts of the body.
         joints: joints for the judge's input port `joints`; and the names and unit of their positions.
-        placement: of a free body, which falls.
+        mass_factor: factor on the mass of a free body, which falls; None if it is held in place.
         shows: see `Judge`.
     """
 
@@ -218,28 +218,50 @@ class Handled:
     parts: Sequence[RigidBody] = ()
     joints: Sequence[Joint] = ()
     positions: tuple[Sequence[str], str] = ((), "")
-    placement: Placement | None = None
+    mass_factor: float | None = None
     shows: Mapping[str, Callable[[Outcome], Sequence[float] | np.ndarray]] = dc.field(default_factory=dict)
 
 
-@dc.dataclass(frozen=True)
+@dc.dataclass(frozen=True, eq=False)
 class Stage:
-    """The systems and ports that a task adds to a trial's diagram.
+    """The plant of a trial, with the robot and what it handles, and what a task adds to the diagram.
 
     Attributes:
-        scene: the plant and its robot.
+        arm, hand: models whose joints the plant's PD controllers drive.
+        body: the body that the hand handles.
+        fixed_base: whether the arm keeps its position.
+        mass_factor: factor on the mass of a free body; None if it is held in place.
         judge: judges the task.
         percepts: name of the person's input port → the port that it perceives.
         states, signals: states and signals to record.
-        bodies: free bodies whose path is recorded, and that are transparent in close-ups.
     """
 
-    scene: Scene
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    arm: ModelInstanceIndex
+    hand: ModelInstanceIndex
+    body: RigidBody
+    fixed_base: bool
+    mass_factor: float | None
     judge: Judge
     percepts: Mapping[str, PerceivedPort]
     states: States
-    bodies: Sequence[RigidBody] = ()
     signals: Signals = dc.field(default_factory=dict)
+
+    @property
+    def free_bodies(self) -> list[RigidBody]:
+        """Bodies whose path is recorded, and that are transparent in close-ups."""
+        return [] if self.mass_factor is None else [self.body]
+
+    def initialize(self, root: Context) -> None:
+        """Sets what only a context can hold: the locks of a fixed base's joints, and the object's mass."""
+        context = self.plant.GetMyMutableContextFromRoot(root)
+        for index in self.plant.GetJointIndices(self.arm) if self.fixed_base else ():
+            self.plant.get_joint(index).Lock(context)
+        if self.mass_factor is not None:
+            M = self.body.CalcSpatialInertiaInBodyFrame(context)
+            scaled = SpatialInertia(self.mass_factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
+            self.body.SetSpatialInertiaInBodyFrame(context, scaled)
 
     def outcome(self, root: Context) -> Outcome:
         """Returns the outcome so far."""
@@ -364,11 +386,13 @@ class Task:
             goal = self.plans(scenario, description)[0]
         handled = self.add(Site(plant, scene_graph, scenario, description, goal, X_WB, settings, rng))
         body = handled.body
-        scene = finish_scene(plant, scene_graph, scenario, description, body, handled.placement)
+        is_free = handled.mass_factor is not None
+        finalize(plant, scenario, description, body.model_instance() if is_free else None)
+        arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
         inspector = scene_graph.model_inspector()
         parts = [part.index() for part in handled.parts]
         view = builder.AddNamedSystem(
-            "scene_view", SceneView(plant, description, scene.hand, body.index(), inspector, parts)
+            "scene_view", SceneView(plant, description, hand, body.index(), inspector, parts)
         )
         builder.Connect(plant.get_body_poses_output_port(), view.GetInputPort("body_poses"))
         builder.Connect(plant.get_contact_results_output_port(), view.GetInputPort("contact_results"))
@@ -397,8 +421,19 @@ class Task:
             system = view if view.HasOutputPort(name) else judge
             percepts[name] = PerceivedPort(system.GetOutputPort(name), mirror.get(name))
         states = {self.name: (judge.GetOutputPort("phase"), handled.states)}
-        free = () if handled.placement is None else (body,)
-        return Stage(scene, judge, percepts, states, free, signals)
+        return Stage(
+            plant=plant,
+            scene_graph=scene_graph,
+            arm=arm,
+            hand=hand,
+            body=body,
+            fixed_base=scenario.fixed_base,
+            mass_factor=handled.mass_factor,
+            judge=judge,
+            percepts=percepts,
+            states=states,
+            signals=signals,
+        )
 
 
 @dc.dataclass(frozen=True)

@@ -134,7 +134,7 @@ class Transfer(NamedTuple):
         """Adds the object and what marks its place; see `Task`."""
         X_WP = self.place(site.scenario, site.description.side, site.rng.spawn(1)[0])
         self.add_fixtures(site.plant, X_WP)
-        body, shape, placement = add_placed_object(
+        body, shape, mass_factor = add_placed_object(
             site.plant, site.scene_graph, site.scenario, site.description, site.rng
         )
         place = pose_to_vector(X_WP)
@@ -142,7 +142,7 @@ class Transfer(NamedTuple):
             body,
             judgement(self.steps, X_WP, shape.lowest_point),
             ["reach", *self.steps],
-            placement=placement,
+            mass_factor=mass_factor,
             shows={"place_pose": lambda outcome: place},
         )
 

@@ -1,6 +1,5 @@
 """Loads a scenario's robot, surroundings and object into a plant."""
 
-import dataclasses as dc
 import math
 from collections.abc import Sequence
 
@@ -19,75 +18,21 @@ from pydrake.multibody.parsing import (
     Parser,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody, SpatialInertia
-from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody
+from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError, naming
 from geort_drake.hands.assembly import HandInPlant, add_hand_model, add_models
 from geort_drake.hands.description import HandDescription
 from geort_drake.resources import PACKAGE_NAME, resource_root
-from geort_drake.simulation.object_shape import ObjectShape, object_shape
+from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.scenario import Scenario, object_file
 from geort_drake.systems.joint_limits import actuated_joints
 
 ARM, HAND = "arm", "hand"  # names of model instances
 _MESH_SIZE = 0.008  # m; edges of hydroelastic meshes, two thirds of a fingertip's radius
-
-
-@dc.dataclass(frozen=True)
-class Placement:
-    """Pose X_WO of the object in one trial, and factors on its mass and its friction."""
-
-    X_WO: RigidTransform
-    mass_factor: float
-    friction_factor: float
-
-
-@dc.dataclass(frozen=True, eq=False)
-class Scene:
-    """A finalized plant with a robot and the body that it handles.
-
-    Attributes:
-        arm, hand: models whose joints the plant's PD controllers drive.
-        body: the body that the hand handles.
-        fixed_base: whether the arm keeps its position.
-        placement: of a free body; `initialize` applies the mass factor.
-    """
-
-    plant: MultibodyPlant
-    scene_graph: SceneGraph
-    arm: ModelInstanceIndex
-    hand: ModelInstanceIndex
-    body: RigidBody
-    fixed_base: bool
-    placement: Placement | None = None
-
-    def initialize(self, root: Context) -> None:
-        """Sets what only a context can hold: the locks of a fixed base's joints, and the object's mass."""
-        context = self.plant.GetMyMutableContextFromRoot(root)
-        for index in self.plant.GetJointIndices(self.arm) if self.fixed_base else ():
-            self.plant.get_joint(index).Lock(context)
-        if self.placement is not None:
-            M = self.body.CalcSpatialInertiaInBodyFrame(context)
-            mass = self.placement.mass_factor * M.get_mass()
-            scaled = SpatialInertia(mass, M.get_com(), M.get_unit_inertia())
-            self.body.SetSpatialInertiaInBodyFrame(context, scaled)
-
-
-def add_scene(
-    builder: DiagramBuilder, scenario: Scenario, description: HandDescription, rng: np.random.Generator
-) -> Scene:
-    """Adds the plant of a scenario with its object to a diagram; `rng` draws the placement.
-
-    Raises:
-        ScenarioError, HandError: the scenario and the models do not fit together.
-    """
-    plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
-    add_robot(plant, scenario, description)
-    body, _, placement = add_placed_object(plant, scene_graph, scenario, description, rng)
-    return finish_scene(plant, scene_graph, scenario, description, body, placement)
 
 
 def add_placed_object(
@@ -96,47 +41,46 @@ def add_placed_object(
     scenario: Scenario,
     description: HandDescription,
     rng: np.random.Generator,
-) -> tuple[RigidBody, ObjectShape, Placement]:
-    """Adds the scenario's object to a plant with a robot; `rng` draws the placement.
+) -> tuple[RigidBody, ObjectShape, float]:
+    """Adds the scenario's object to a plant with a robot, at a pose and with a friction that `rng` draws.
+
+    Returns:
+        The body, its shape, and the factor on its mass, which only a context can hold.
 
     Raises:
         ScenarioError: the object has no usable geometry.
     """
     body = add_object(plant, scenario.object.name)
-    shape = object_shape(plant, scene_graph.model_inspector(), body)
-    placement = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
-    plant.SetDefaultFloatingBaseBodyPose(body, placement.X_WO)
-    _scale_friction(plant, scene_graph, body, placement.friction_factor)
+    shape = ObjectShape(plant, scene_graph.model_inspector(), body)
+    X_WO, mass_factor, friction_factor = draw_placement(scenario, shape.lowest_point(RigidTransform()), rng)
+    plant.SetDefaultFloatingBaseBodyPose(body, X_WO)
+    _scale_friction(plant, scene_graph, body, friction_factor)
     if scenario.fingertip_modulus:
         _soften_fingertips(plant, scene_graph, description, body, scenario.fingertip_modulus)
-    return body, shape, placement
+    return body, shape, mass_factor
 
 
-def finish_scene(
-    plant: MultibodyPlant,
-    scene_graph: SceneGraph,
-    scenario: Scenario,
-    description: HandDescription,
-    body: RigidBody,
-    placement: Placement | None = None,
-) -> Scene:
-    """Finalizes a plant with the scenario's robot; gravity acts on a body with a placement only.
+def finalize(
+    plant: MultibodyPlant, scenario: Scenario, description: HandDescription, free: ModelInstanceIndex | None
+) -> None:
+    """Finalizes a plant with the scenario's robot; gravity acts on the free model alone.
 
     A real arm's controller compensates gravity for arm and hand, and everything else is fixed.
+
+    Args:
+        free: the model of the free body; None if there is none.
 
     Raises:
         HandError: an actuator of arm or hand has no PD gains.
     """
-    arm, hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+    hand = plant.GetModelInstanceByName(HAND)
     _scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
-    for number in range(plant.num_model_instances()):
-        model = ModelInstanceIndex(number)
-        if placement is None or model != body.model_instance():
+    for model in map(ModelInstanceIndex, range(plant.num_model_instances())):
+        if model != free:
             plant.set_gravity_enabled(model, False)
     plant.Finalize()
     _require_controllers(plant, hand, f"hand '{description.name}'")
-    _require_controllers(plant, arm, "the arm")
-    return Scene(plant, scene_graph, arm, hand, body, scenario.fixed_base, placement)
+    _require_controllers(plant, plant.GetModelInstanceByName(ARM), "the arm")
 
 
 def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescription) -> None:
@@ -195,8 +139,10 @@ def add_object(plant: MultibodyPlant, name: str) -> RigidBody:
     return plant.get_body(body)
 
 
-def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random.Generator) -> Placement:
-    """Draws the object's pose, mass and friction within the scenario's ranges.
+def draw_placement(
+    scenario: Scenario, lowest_at_identity: float, rng: np.random.Generator
+) -> tuple[RigidTransform, float, float]:
+    """Draws the object's pose X_WO, and factors on its mass and its friction, in the scenario's ranges.
 
     Args:
         lowest_at_identity: height in W of the object's lowest point at X_WO = identity, m.
@@ -209,7 +155,7 @@ def draw_placement(scenario: Scenario, lowest_at_identity: float, rng: np.random
     friction = config.friction_factor * (
         1 + rng.spawn(1)[0].uniform(-config.friction_range, config.friction_range)
     )
-    return Placement(standing_pose(scenario, lowest_at_identity, dx, dy, yaw), mass, friction)
+    return standing_pose(scenario, lowest_at_identity, dx, dy, yaw), mass, friction
 
 
 def standing_pose(

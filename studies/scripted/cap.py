@@ -6,8 +6,8 @@ from pydrake.systems.framework import BasicVector, Context
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.person.goal import Plan
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import Scene
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from geort_drake.systems.joint_limits import actuated_joints
 from geort_drake.systems.python_system import PythonSystem
@@ -24,10 +24,10 @@ class ScriptedCap(PythonSystem):
         desired_state (2n): joint positions and velocities in actuator order.
     """
 
-    def __init__(self, plan: Plan, scene: Scene, description: HandDescription):
+    def __init__(self, plan: Plan, stage: Stage, description: HandDescription):
         super().__init__()
-        order = hand_order(scene, description)
-        start = np.array([joint.default_positions()[0] for joint in actuated_joints(scene.plant, scene.hand)])
+        order = hand_order(stage, description)
+        start = np.array([joint.default_positions()[0] for joint in actuated_joints(stage.plant, stage.hand)])
         q_open, q_held = plan.postures["open"][:, order], plan.postures["held"][:, order]
 
         def at(path: np.ndarray, share: float) -> np.ndarray:

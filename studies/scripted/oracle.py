@@ -14,7 +14,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-from geort_drake.simulation.object_shape import object_shape
+from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import HAND, add_object, add_robot, draw_placement
@@ -137,8 +137,8 @@ def object_pose(scenario: Scenario) -> RigidTransform:
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     body = add_object(plant, scenario.object.name)
-    lowest = object_shape(plant, scene_graph.model_inspector(), body).lowest_point(RigidTransform())
-    return draw_placement(scenario, lowest, np.random.default_rng(scenario.random_seed)).X_WO
+    lowest = ObjectShape(plant, scene_graph.model_inspector(), body).lowest_point(RigidTransform())
+    return draw_placement(scenario, lowest, np.random.default_rng(scenario.random_seed))[0]
 
 
 def _start_pose(scenario: Scenario, oracle: Oracle) -> RigidTransform:

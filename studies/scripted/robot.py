@@ -11,13 +11,14 @@ from pydrake.systems.primitives import ConstantVectorSource
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.world import HAND, Scene, add_robot
+from geort_drake.simulation.world import HAND, add_robot
 from geort_drake.systems.joint_limits import actuated_joints
 
 
 def run_script(
-    scenario: Scenario, goal: Goal, seed: int, script_for: Callable[[Scene, HandDescription], LeafSystem]
+    scenario: Scenario, goal: Goal, seed: int, script_for: Callable[[Stage, HandDescription], LeafSystem]
 ) -> float:
     """Returns the score of a script in one trial, 0 without success.
 
@@ -34,8 +35,8 @@ def run_script(
     builder = DiagramBuilder()
     rng = np.random.default_rng(seed)
     stage = find_task(scenario.task).add_stage(builder, scenario, description, goal, X_WB, rng)
-    plant, hand, arm = stage.scene.plant, stage.scene.hand, stage.scene.arm
-    script = builder.AddSystem(script_for(stage.scene, description))
+    plant, hand, arm = stage.plant, stage.hand, stage.arm
+    script = builder.AddSystem(script_for(stage, description))
     for index in range(script.num_input_ports()):
         port = script.get_input_port(index)
         builder.Connect(stage.percepts[port.get_name()].port, port)
@@ -49,12 +50,12 @@ def run_script(
     builder.Connect(arm_target, plant.get_desired_state_input_port(arm))
     simulator = Simulator(builder.Build())
     root = simulator.get_mutable_context()
-    stage.scene.initialize(root)
+    stage.initialize(root)
     simulator.AdvanceTo(scenario.timeout)
     outcome = stage.outcome(root)
     return outcome.score if outcome.success else 0.0
 
 
-def hand_order(scene: Scene, description: HandDescription) -> list[int]:
+def hand_order(stage: Stage, description: HandDescription) -> list[int]:
     """Returns the index among the description's joints of each actuated joint, in actuator order."""
-    return [description.joint_names.index(joint.name()) for joint in actuated_joints(scene.plant, scene.hand)]
+    return [description.joint_names.index(joint.name()) for joint in actuated_joints(stage.plant, stage.hand)]

@@ -44,7 +44,7 @@ def watched(parts: TrialDiagram, duration: float) -> Invariants:
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
     limits = np.array([actuator.effort_limit() for actuator in actuators])
     places = np.array([actuator.joint().velocity_start() for actuator in actuators])
-    thing, dt = parts.stage.scene.body.index(), plant.time_step()
+    thing, dt = parts.stage.body.index(), plant.time_step()
     excess = lowest = before = applied = None
 
     simulator = Simulator(parts.diagram)

@@ -168,7 +168,7 @@ class WebTeleoperation:
             self._builder = TrialBuilder(Hand(setup.description))
         trial = make_watched_trial(self._builder, scenario, setup.retarget)
         parts = trial.parts
-        scene = PageScene(parts.plant, parts.stage.scene.scene_graph.model_inspector(), setup.description)
+        scene = PageScene(parts.plant, parts.stage.scene_graph.model_inspector(), setup.description)
         self._show(scene)
         simulator = Simulator(parts.diagram)
         root = simulator.get_mutable_context()
@@ -204,7 +204,7 @@ class WebTeleoperation:
             scenario.retargeting.period = min(scenario.retargeting.period, _PERIOD)
             robot = SimulatedRobot(scenario, model)
             start = model.hand.start, model.arm.start
-            plant, graph = robot.stage.scene.plant, robot.stage.scene.scene_graph
+            plant, graph = robot.stage.plant, robot.stage.scene_graph
         else:
             robot, start = self.link, self.link.handshake(timeout)
             standing = model.standing_at({})

@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.description import FingerDescription, HandDescription
 from geort_drake.hands.importers.fingers import parts_of
-from geort_drake.simulation.object_shape import ObjectShape, object_shape
+from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.plan.contacts import Contact
 from geort_drake.simulation.plan.inverse_kinematics import (
     keep_from_limits,
@@ -63,7 +63,7 @@ class GraspKinematics:
         plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
         add_robot(plant, scenario, description)
         self._object = add_object(plant, scenario.object.name)
-        self.shape: ObjectShape = object_shape(plant, scene_graph.model_inspector(), self._object)
+        self.shape = ObjectShape(plant, scene_graph.model_inspector(), self._object)
         # Of the object, N.
         self.weight = self._object.default_mass() * UniformGravityFieldElement.kDefaultStrength
         # The object is sunk into its support by the ground clearance.

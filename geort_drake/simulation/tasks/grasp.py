@@ -197,7 +197,7 @@ def judgement(
 
 
 def _add(site: Site) -> Handled:
-    body, shape, placement = add_placed_object(
+    body, shape, mass_factor = add_placed_object(
         site.plant, site.scene_graph, site.scenario, site.description, site.rng
     )
     hand = site.plant.GetModelInstanceByName("hand")
@@ -206,7 +206,7 @@ def _add(site: Site) -> Handled:
     support = site.scenario.object.support_height
     judge = judgement(site.settings, links, tip_links, shape.lowest_point, support)
     states = [phase.name.lower() for phase in GraspPhase]
-    return Handled(body, judge, states, placement=placement)
+    return Handled(body, judge, states, mass_factor=mass_factor)
 
 
 TASK = Task(
