@@ -220,6 +220,81 @@ def test_stamps_of_archives_are_numbers_or_refused(tmp_path, written):
         read_recording(write(tmp_path, moving(), **{field: t[1:]}))
 
 
+def with_other_name(written, field, name, value=None):
+    """A writer of JSON whose times are called `name`, or whose contents have one `value` of this name."""
+
+    def write(folder, hand):
+        frames = {"openxr_json": gloves.openxr_frames, "mediapipe": gloves.mediapipe_frames}[written](hand)
+        contents = frames if isinstance(frames, dict) else {"frames": frames}
+        for frame in contents["frames"]:
+            stamp = frame.pop(field)
+            if value is None:
+                frame[name] = stamp
+        if value is not None:
+            contents[name] = value
+        return gloves.WRITERS[written](folder, hand, contents)
+
+    return write
+
+
+def csv_with_times(folder, hand, name, time):
+    table = gloves.manus_table(hand)
+    table[0][1] = name
+    for i, row in enumerate(table[1:]):
+        row[1] = time(i)
+    return gloves.write_manus_csv(folder, hand, table)
+
+
+@pytest.mark.parametrize(
+    ("write", "name"),
+    [
+        (with_other_name("openxr_json", "time", "predictedDisplayTime"), "predictedDisplayTime"),
+        (with_other_name("mediapipe", "timestampMs", "timestamp_us"), "timestamp_us"),
+        (with_other_name("mediapipe", "timestampMs", "fps", 60), "fps"),
+        (with_other_name("mediapipe", "timestampMs", "frameRate", 60), "frameRate"),
+        (lambda folder, hand: gloves.write_manus(folder, hand, timestamps=None, times=hand.t), "times"),
+        (lambda folder, hand: csv_with_times(folder, hand, "Time_s", lambda i: f"{i / 60:.6f}"), "Time_s"),
+    ],
+)
+def test_a_clock_under_another_name_is_not_taken_for_absent(tmp_path, write, name):
+    """Its rate would otherwise count as unknown, and all speeds would be wrong; the rate can be given."""
+    path = write(tmp_path, moving())
+    with pytest.raises(RecordingError, match=f"the field '{name}' is not read; give the frames per second"):
+        read_recording(path)
+    assert read_recording(path, rate_hz=60.0).rate_hz == pytest.approx(60.0)
+
+
+def test_times_of_which_none_is_finite_are_not_taken_for_absent(tmp_path):
+    """As an export with an empty column has them."""
+    path = csv_with_times(tmp_path, moving(), gloves.manus_table(moving())[0][1], lambda i: "")
+    with pytest.raises(RecordingError, match=r"a time for each frame, but none is a finite number; .*--rate"):
+        read_recording(path)
+    assert read_recording(path, rate_hz=60.0).metadata["rate_known"]
+
+
+def test_a_side_that_frames_state_is_read(tmp_path):
+    """Each frame may name the side; two sides in one file are refused."""
+    contents = gloves.openxr_frames(moving())
+    for frame in contents["frames"]:
+        frame["hand"] = "left"
+    path = gloves.write_openxr_json(tmp_path, moving(), contents)
+    with pytest.raises(RecordingError, match=r"hand \(right\) and hand \(left\) state both sides"):
+        read_recording(path)
+    del contents["hand"]
+    with pytest.raises(RecordingError, match="contains a left hand, a right one was requested"):
+        read_recording(gloves.write_openxr_json(tmp_path, moving(), contents))
+
+
+@pytest.mark.parametrize("labels", [[], [[{"categoryName": "Droite"}]], "Right"])
+def test_labels_of_hands_that_cannot_be_read_are_not_taken_for_absent(tmp_path, labels):
+    """A frame whose labels do not fit its hands is lost."""
+    frames = gloves.mediapipe_frames(moving())
+    for frame in frames[:60]:
+        frame["handedness"] = labels
+    with pytest.raises(RecordingError, match="60 of 400 frames show no hand or cannot be read"):
+        read_recording(gloves.write_mediapipe(tmp_path, moving(), frames))
+
+
 @pytest.mark.parametrize(
     ("fields", "message"),
     [

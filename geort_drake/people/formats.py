@@ -8,7 +8,8 @@ A single frame that cannot be read shows no hand; `read_recording` counts such f
 import csv
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -179,8 +180,9 @@ def read_mediapipe(contents: Any, side: str) -> Track:
     https://github.com/google-ai-edge/mediapipe/issues/1374
     """
     frames = frames_of(contents)
+    stated = side_of(contents) or side
     if frames:
-        hands = [_mediapipe_hands(frame, side) for frame in frames]
+        hands = [_mediapipe_hands(frame, stated) for frame in frames]
         p = np.stack(hands)
         if not np.isfinite(p).any():
             raise RecordingError(
@@ -189,7 +191,7 @@ def read_mediapipe(contents: Any, side: str) -> Track:
             )
         seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
     else:
-        seen = {side_of(contents) or side: array_of(contents, "world_landmarks", _POINTS)}
+        seen = {stated: array_of(contents, "world_landmarks", _POINTS)}
     fitting = [label for label, p_WK in seen.items() if bent_side(p_WK, label) == side]
     if not fitting:
         (other, *_) = seen
@@ -210,7 +212,7 @@ def _mediapipe_hands(frame: Any, side: str) -> np.ndarray:
     if not isinstance(frame, Mapping):
         return seen
     hands = next((frame[field] for field in _WORLD if frame.get(field)), None)
-    labels = next((frame[field] for field in _HANDEDNESS if frame.get(field)), None)
+    labels = next((frame[field] for field in _HANDEDNESS if frame.get(field) is not None), None)
     if not isinstance(hands, list) or not (labels is None or isinstance(labels, list)):
         return seen
     labels = [side][: len(hands)] if labels is None else [_mediapipe_label(label) for label in labels]
@@ -277,7 +279,7 @@ def _read_xr(contents: Any, names: tuple[str, ...], unit_s: float) -> Track:
                 raise RecordingError(f"{len(valid)} valid for {len(p)} frames")
             p = np.where((np.nan_to_num(valid) != 0)[..., None], p, np.nan)
     p_WK = p[:, count - NODE_COUNT :][:, KEYPOINTS_OF_25]
-    return Track(times_of(contents, len(p), unit_s), p_WK, side_of(contents), in_world=True)
+    return Track(times_of(contents, len(p), unit_s), p_WK, side_of(contents, frames), in_world=True)
 
 
 def _xr_points(frame: Any, names: tuple[str, ...]) -> np.ndarray:
@@ -400,8 +402,11 @@ FORMATS: dict[str, Format] = {
 }
 
 
-_TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs", "timestamp_ms")
+TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs", "timestamp_ms")
 _SIDE_FIELDS = ("side", "chirality", "handedness", "hand")
+# Names of other fields that say when frames were taken: one value a frame, or one rate for all.
+_CLOCK_NAMES = re.compile(r"time|stamp|clock", re.IGNORECASE)
+_RATE_NAMES = re.compile(r"fps|(frame|sampl\w*)_?rate|rate_?hz|^(rate|hz|frequency)$", re.IGNORECASE)
 
 
 class Table(NamedTuple):
@@ -479,7 +484,7 @@ def times_of(contents: Any, count: int, unit_s: float = 1.0) -> np.ndarray | Non
     frames = frames_of(contents)
     fields = [
         name
-        for name in _TIME_FIELDS
+        for name in TIME_FIELDS
         if (isinstance(contents, Mapping) and name in contents)
         or any(isinstance(frame, Mapping) and frame.get(name) is not None for frame in frames)
     ]
@@ -498,6 +503,32 @@ def times_of(contents: Any, count: int, unit_s: float = 1.0) -> np.ndarray | Non
     if len(values) != count:
         raise RecordingError(f"{len(values)} {field} for {count} frames")
     return unit_s * stamps_of(values, field)
+
+
+def unread_clock(contents: Any, count: int) -> str | None:
+    """Returns the name of a field that says when the frames were taken but is not read, or None.
+
+    Args:
+        contents: of a file in which `times_of` finds no times.
+        count: number of frames.
+    """
+    per_frame: list[str] = []
+    others: dict[str, Any] = {}
+    if isinstance(contents, Table):
+        per_frame = contents.rows[0]
+    elif isinstance(contents, Mapping):
+        others = {name: value for name, value in contents.items() if value is not None}
+        per_frame = [
+            name
+            for name, value in others.items()
+            if isinstance(value, list | np.ndarray) and np.shape(value)[:1] == (count,)
+        ]
+    for frame in frames_of(contents):
+        if isinstance(frame, Mapping):
+            per_frame += [name for name, value in frame.items() if value is not None]
+    clocks = [name for name in per_frame if _CLOCK_NAMES.search(name)]
+    rates = [name for name in [*others, *per_frame] if _RATE_NAMES.search(name)]
+    return next(iter([*clocks, *rates]), None)
 
 
 def stamps_of(values: Sequence[Any], field: str) -> np.ndarray:
@@ -534,16 +565,31 @@ def exact_number(value: Any) -> int | float | None:
     return value
 
 
-def side_of(contents: Any) -> str | None:
-    """Returns the side that a file states, or None; raises RecordingError if it states neither."""
-    field = next((name for name in _SIDE_FIELDS if isinstance(contents, Mapping) and name in contents), None)
-    if field is None:
-        return None
-    side = str(contents[field]).strip().lower()
-    side = {"l": "left", "r": "right"}.get(side, side)
-    if side not in SIDES:
-        raise RecordingError(f"{field} '{side:.40}' is none of: {', '.join(SIDES)}")
-    return side
+def side_of(contents: Any, frames: Iterable[Any] = ()) -> str | None:
+    """Returns the side that a file states, or None.
+
+    Args:
+        contents: of the file.
+        frames: its frames, if each may state the side.
+
+    Raises:
+        RecordingError: a side is there but is neither left nor right, or there are both.
+    """
+    sides: dict[str, str] = {}
+    for place in (contents, *frames):
+        names = _SIDE_FIELDS if isinstance(place, Mapping) else ()
+        field = next((name for name in names if place.get(name) is not None), None)
+        if field is None:
+            continue
+        side = str(place[field]).strip().lower()
+        side = {"l": "left", "r": "right"}.get(side, side)
+        if side not in SIDES:
+            raise RecordingError(f"{field} '{side:.40}' is none of: {', '.join(SIDES)}")
+        sides.setdefault(side, field)
+    if len(sides) > 1:
+        stated = " and ".join(f"{name} ({side})" for side, name in sides.items())
+        raise RecordingError(f"{stated} state both sides; give one hand per file")
+    return next(iter(sides), None)
 
 
 def points_of(values: Any, count: int) -> np.ndarray:

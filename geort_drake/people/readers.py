@@ -14,7 +14,7 @@ import numpy as np
 from geort_drake.errors import RecordingError, UnknownNameError, naming
 from geort_drake.people.checks import UNITS_M, examine, require_side, require_wrist_frame_hand
 from geort_drake.people.coverage import training_faults
-from geort_drake.people.formats import FORMATS, load
+from geort_drake.people.formats import FORMATS, TIME_FIELDS, Track, load, unread_clock
 from geort_drake.people.recording import SIDES, Recording
 
 # For files without timestamps. At 30 Hz, GeoRT's recording has fingertip speeds (99th percentile 1 m/s) that
@@ -106,7 +106,7 @@ def _read_foreign(
     unit = unit or track.unit
     warnings = list(track.remarks)
     metadata: dict = {"source": path.name, "format": format, "unit": unit}
-    t, p_WK = track.t, UNITS_M[unit] * track.p_WK
+    t, p_WK, timed = track.t, UNITS_M[unit] * track.p_WK, True
     if t is not None and np.isfinite(t).any():
         order = _usable_times(t, p_WK)
         if len(order) < len(t):
@@ -125,8 +125,11 @@ def _read_foreign(
         if t[0] > _MIN_UNIX_TIME_S:
             metadata["start_time_unix_s"] = float(t[0])
     else:
-        t = np.arange(len(p_WK)) / (rate_hz or ASSUMED_RATE_HZ)
         if rate_hz is None:
+            _require_no_clock(contents, track)
+        t = np.arange(len(p_WK)) / (rate_hz or ASSUMED_RATE_HZ)
+        timed = rate_hz is not None
+        if not timed:
             warnings.append(
                 f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed; if you know better, convert with --rate"
             )
@@ -139,9 +142,20 @@ def _read_foreign(
         if lost.sum() > _MAX_UNTIMED * len(lost):
             raise RecordingError(f"{warnings[-1]}; at most one in ten may be lost")
     recording = Recording.from_keypoints(p_WK, t, track.side or side, track.in_world)
-    rate_known = track.t is not None or rate_hz is not None
-    metadata |= {**recording.metadata, "rate_known": rate_known, "warnings": warnings}
+    metadata |= {**recording.metadata, "rate_known": timed, "warnings": warnings}
     return dataclasses.replace(recording, metadata=metadata)
+
+
+def _require_no_clock(contents: object, track: Track) -> None:
+    """Raises RecordingError if the file says when its frames were taken, but in a way that is not read."""
+    remedy = "give the frames per second as --rate"
+    if track.t is not None:
+        raise RecordingError(f"the file has a time for each frame, but none is a finite number; {remedy}")
+    if (name := unread_clock(contents, len(track.p_WK))) is not None:
+        raise RecordingError(
+            f"the field '{name}' is not read; {remedy}, or call a time for each frame one of: "
+            f"{', '.join(TIME_FIELDS)}"
+        )
 
 
 def _usable_times(t: np.ndarray, p_WK: np.ndarray) -> np.ndarray:

@@ -174,7 +174,7 @@ class Recording:
             raise RecordingError(f"metadata must name a side, one of: {', '.join(SIDES)}")
         if metadata.get("convention") != CONVENTION:
             raise RecordingError(
-                f"convention {metadata.get('convention')} is not supported; expected {CONVENTION}"
+                f"convention {metadata.get('convention')!r} is not supported; expected {CONVENTION}"
             )
         optional = {name: arrays.get(name) for name in _OPTIONAL}
         metadata = _checked_metadata(metadata)
