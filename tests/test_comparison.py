@@ -223,12 +223,12 @@ def test_held_out_blocks_divide_the_valid_frames(play, blocks):
     frames = np.arange(600)
     seen = ((frames < 100) | (frames >= 140)) & ((frames < 400) | (frames >= 403))
     gaps = dataclasses.replace(play, t=play.t[frames], p_HK=play.p_HK[frames], valid=seen)
-    cases = held_out(gaps, blocks).cases
-    scored = np.array([case.scored_on.valid for case in cases])
+    cases = held_out(gaps, blocks).cases.values()
+    scored = np.array([scored_on.valid for _, scored_on in cases])
     np.testing.assert_array_equal(scored.sum(axis=0), gaps.valid.astype(int))
     assert len(cases) == blocks and np.ptp(scored.sum(axis=1)) <= 1
-    for case, block in zip(cases, scored, strict=True):
+    for (trained_on, _), block in zip(cases, scored, strict=True):
         first, last = np.flatnonzero(block)[[0, -1]]
         np.testing.assert_array_equal(block[first : last + 1], gaps.valid[first : last + 1])
         outside = (gaps.t < gaps.t[first] - GUARD_S) | (gaps.t > gaps.t[last] + GUARD_S)
-        np.testing.assert_array_equal(case.trained_on.valid, gaps.valid & outside)
+        np.testing.assert_array_equal(trained_on.valid, gaps.valid & outside)

@@ -8,13 +8,19 @@ from geort_drake import Recording
 from geort_drake.errors import RecordingError
 from geort_drake.metrics.explorer import (
     excerpt,
-    find_pinches,
     proportional_copy,
     response,
     windowed_cosines,
     write_exploration,
 )
+from geort_drake.metrics.metrics import nearest_pairs, pair_distances
 from geort_drake.people.keypoints import mirrored
+from geort_drake.people.recording import PINCH_M
+
+
+def pinched(tips, names):
+    """Returns where the nearest pair of the thumb's tip and another of tips (T, F, 3) meets."""
+    return pair_distances(tips, nearest_pairs(tips, names)) < PINCH_M
 
 
 def test_cosines_are_of_the_motion_around_an_instant():
@@ -41,7 +47,7 @@ def test_an_excerpt_begins_where_most_pinches_are():
     hands = excerpt(recording, rate_hz=10.0, duration_s=5.0)
     assert hands.metadata["start_s"] == pytest.approx(25.0)
     np.testing.assert_allclose(hands.t, np.arange(51) * 0.1, atol=1e-9)
-    assert find_pinches(hands.p_HK[:50, 4::4], ("thumb", "index", "middle", "ring", "little")).closed.all()
+    assert pinched(hands.p_HK[:50, 4::4], ("thumb", "index", "middle", "ring", "little")).all()
     later = excerpt(recording, rate_hz=10.0, duration_s=5.0, start_s=38.0)
     assert later.t[-1] == pytest.approx(1.9)  # to the recording's end
     with pytest.raises(RecordingError, match=r"within the recording's 39.9 s"):
@@ -95,8 +101,8 @@ def test_the_recording_contains_the_outputs_of_the_methods(tmp_path, allegro, pl
     path = tmp_path / "explorer.rrd"
     write_exploration(path, allegro, hands, methods, {"recording_sha256": play.digest})
     assert rerun("rrd", "verify", path).returncode == 0
-    pinches = find_pinches(hands.fingertips(allegro.description.human_keypoints), allegro.finger_names)
-    assert pinches.closed.any()
+    pinches = pinched(hands.fingertips(allegro.description.human_keypoints), allegro.finger_names)
+    assert pinches.any()
     for name, q in (("fist", fist), ("rest", rest)):
         times, tips = read(path, f"/world/{name}/tips", "Ellipsoids3D:centers")
         np.testing.assert_allclose(times, hands.t, atol=1e-9)
@@ -105,7 +111,7 @@ def test_the_recording_contains_the_outputs_of_the_methods(tmp_path, allegro, pl
         _, balls = read(path, f"/world/{name}/collisions", "Ellipsoids3D:centers")
         assert [len(row) > 0 for row in balls] == [deep] * len(hands.t)
         _, cages = read(path, f"/world/{name}/pinch", "Ellipsoids3D:centers")
-        assert [len(row) for row in cages] == pinches.closed.astype(int).tolist()
+        assert [len(row) for row in cages] == pinches.astype(int).tolist()
         _, states = read(path, f"/{name}", "StateChange:state")
         assert ("collides" in {state[0] for state in states}) == deep
         _, angles = read(path, f"/posture/{name}", "Scalars:scalars")

@@ -33,15 +33,6 @@ GUARD_S = 1.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Case:
-    """A training recording and the recording for the evaluation."""
-
-    part: str  # name of the file or block
-    trained_on: Recording
-    scored_on: Recording
-
-
-@dataclasses.dataclass(frozen=True)
 class Protocol:
     """A way to compare methods.
 
@@ -49,14 +40,14 @@ class Protocol:
         name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
         title: title in tables.
         meaning: meaning of its metrics, and which are left out.
-        cases: one case per part.
+        cases: name of each part, a file or block → the recordings for training and for scoring.
         with_coverage: whether coverage of the robot's C-space is meaningful.
     """
 
     name: str
     title: str
     meaning: str
-    cases: tuple[Case, ...]
+    cases: Mapping[str, tuple[Recording, Recording]]
     with_coverage: bool = True
 
 
@@ -66,7 +57,7 @@ def same_person(recording: Recording, name: str) -> Protocol:
         SAME_PERSON,
         "same person, training recording",
         "trained and scored on the same recording, as in the paper",
-        (Case(name, recording, recording),),
+        {name: (recording, recording)},
     )
 
 
@@ -86,25 +77,22 @@ def held_out(recording: Recording, blocks: int) -> Protocol:
             f"held-out blocks must be 2 to {most} for {len(frames)} valid frames (at least {MIN_FRAMES} "
             f"each), not {blocks}"
         )
-    cases = []
+    cases = {}
     for number, block in enumerate(np.array_split(frames, blocks), start=1):
         inside = np.zeros(len(recording), dtype=bool)
         inside[block] = True
         first, last = recording.t[block[[0, -1]]]
         away = (recording.t < first - GUARD_S) | (recording.t > last + GUARD_S)
-        cases.append(
-            Case(
-                f"block {number} of {blocks}",
-                dataclasses.replace(recording, valid=recording.valid & away),
-                dataclasses.replace(recording, valid=inside),
-            )
+        cases[f"block {number} of {blocks}"] = (
+            dataclasses.replace(recording, valid=recording.valid & away),
+            dataclasses.replace(recording, valid=inside),
         )
     return Protocol(
         HELD_OUT,
         "same person, held-out blocks",
         f"scored on each of {blocks} contiguous blocks, trained on the rest, {GUARD_S:g} s before and after "
         "the block left out; no coverage, as a block contains too little motion to cover the C-space",
-        tuple(cases),
+        cases,
         with_coverage=False,
     )
 
@@ -123,7 +111,7 @@ def other_person(recording: Recording, others: Mapping[str, Recording]) -> Proto
         "another person",
         "trained on one person's recording, scored on another's; only a universal map adapts, to the "
         "first second",
-        tuple(Case(name, recording, other) for name, other in others.items()),
+        {name: (recording, other) for name, other in others.items()},
     )
 
 
@@ -258,11 +246,11 @@ class Comparison:
         rows: list[Row] = []
         for protocol in self.protocols:
             for seed in self.seeds:
-                for case in protocol.cases:
-                    starts(f"{Path(name).name}, {case.part}, seed {seed}")
-                    key = {"method": name, "protocol": protocol.name, "part": case.part, "seed": seed}
+                for part in protocol.cases:
+                    starts(f"{Path(name).name}, {part}, seed {seed}")
+                    key = {"method": name, "protocol": protocol.name, "part": part, "seed": seed}
                     try:
-                        metrics = dict(flat(self._evaluate(name, protocol, case, seed)))
+                        metrics = dict(flat(self._evaluate(name, protocol, part, seed)))
                     except GeortError as error:
                         rows.append({**key, "error": str(error)})
                         continue
@@ -272,13 +260,13 @@ class Comparison:
                     ]
         return rows
 
-    def _evaluate(self, name: str, protocol: Protocol, case: Case, seed: int) -> dict:
-        source = case.scored_on
+    def _evaluate(self, name: str, protocol: Protocol, part: str, seed: int) -> dict:
+        trained_on, source = protocol.cases[part]
         if (count := min(int(source.valid.sum()), self.frame_limit or len(source))) < MIN_FRAMES:
-            raise RecordingError(f"{case.part}: {count} valid frames, at least {MIN_FRAMES} are needed")
+            raise RecordingError(f"{part}: {count} valid frames, at least {MIN_FRAMES} are needed")
         if name not in METHODS and Path(name).suffix != PYTHON_SUFFIX:
-            _check_training(name, protocol, case)
-        retarget, _ = resolve(name, self.hand, case.trained_on, seed)
+            _check_training(name, protocol, part)
+        retarget, _ = resolve(name, self.hand, trained_on, seed)
         metrics = evaluate(retarget, self.hand, source, seed, self.frame_limit, protocol.with_coverage)
         return finite_json(metrics)
 
@@ -290,21 +278,22 @@ def _weight(metric: str, metrics: Mapping[str, float | None]) -> float:
     return float(metrics[f"{group}.frames"] or 0) if is_share else 1.0
 
 
-def _check_training(name: str, protocol: Protocol, case: Case) -> None:
+def _check_training(name: str, protocol: Protocol, part: str) -> None:
     """Raises MapError unless the training of a map of one person fits the protocol."""
     recording = load_retargeter(name).info.get("provenance", {}).get("recording")
     if recording is None:
         return  # a universal map
     if protocol.name == HELD_OUT:
         raise MapError(f"{name}: a map cannot be trained without the block; name its method instead")
-    known = recording["sha256"] == case.scored_on.digest
+    _, scored_on = protocol.cases[part]
+    known = recording["sha256"] == scored_on.digest
     if protocol.name == SAME_PERSON and not known:
         raise MapError(
-            f"{name}: was trained on another recording than {case.part}; give that one to --recording, "
+            f"{name}: was trained on another recording than {part}; give that one to --recording, "
             "and this one to --score-on"
         )
     if protocol.name != SAME_PERSON and known:
-        raise MapError(f"{name}: was trained on {case.part}; give another person's recording")
+        raise MapError(f"{name}: was trained on {part}; give another person's recording")
 
 
 def summary(rows: Sequence[Row]) -> pd.DataFrame:

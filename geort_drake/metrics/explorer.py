@@ -13,9 +13,9 @@ from geort_drake.colours import SKIN, Color, finger_colors
 from geort_drake.errors import RecordingError
 from geort_drake.hands.hand import Hand
 from geort_drake.metrics.evaluation import complete_hands, distal_links, distal_phalanges
-from geort_drake.metrics.metrics import PENETRATION, Pinches, angles_between, find_pinches
+from geort_drake.metrics.metrics import PENETRATION, angles_between, nearest_pairs, of_pairs, pair_distances
 from geort_drake.people.keypoints import FINGER_NAMES, mirrored
-from geort_drake.people.recording import Recording
+from geort_drake.people.recording import PINCH_M, Recording
 from geort_drake.rerun import layout as views
 from geort_drake.rerun.scene import write_robot_hand
 from geort_drake.rerun.writer import CAGE, SOLID, WORLD, Property, Writer, entity_path, file_writer
@@ -72,7 +72,8 @@ def excerpt(
     if len(t) == 0 or (start_s is not None and not 0 <= start_s < t[-1]):
         raise RecordingError(f"an excerpt must begin within the recording's {recording.duration_s:.1f} s")
     if start_s is None:
-        pinching = find_pinches(tracked.fingertips(), FINGER_NAMES).closed
+        tips = tracked.fingertips()
+        pinching = pair_distances(tips, nearest_pairs(tips, FINGER_NAMES)) < PINCH_M
         before = np.concatenate([[0], np.cumsum(pinching)])
         ends = np.searchsorted(t, t + duration_s)
         fits = t + duration_s <= max(t[-1], duration_s)
@@ -103,8 +104,7 @@ def response(retarget: Callable, hand: Hand, hands: Recording) -> Response:
         human = mirrored(human)
     p_BF = hand.fingertips(q)
     copy = proportional_copy(human, p_BF)
-    pinching = find_pinches(human, hand.finger_names).select(p_BF)
-    gap = np.linalg.norm(pinching[:, 1] - pinching[:, 0], axis=-1)
+    gap = pair_distances(p_BF, nearest_pairs(human, hand.finger_names))
     return Response(
         q,
         p_BF,
@@ -154,6 +154,7 @@ APPLICATION = "geort_drake_explorer"
 _SPACING = 0.26  # m, between neighbouring hands
 _LABEL_HEIGHT = 0.235  # m
 _HUMAN_TIP_RADIUS = 0.0085  # m
+_TIP_GROWTH = 1.1  # of drawn tips, which cover the model's
 _PINCH_LANE = "asked_pinch"
 # Colours of the methods in the plots; no finger or mark has them.
 _COLORS: tuple[Color, ...] = ((240, 228, 66), (178, 132, 255), (213, 94, 0), (0, 220, 200), (190, 190, 190))
@@ -196,7 +197,9 @@ def write_exploration(
     p_HK = hands.p_HK.astype(float)
     p_HK = mirrored(p_HK) if hand.description.side == "left" else p_HK
     tips = p_HK[:, hand.description.human_keypoints]
-    pinches = find_pinches(tips, hand.finger_names)
+    pairs = nearest_pairs(tips, hand.finger_names)
+    gap = pair_distances(tips, pairs)
+    pinched = gap < PINCH_M
     with file_writer(
         path,
         application_id=APPLICATION,
@@ -204,9 +207,12 @@ def write_exploration(
         blueprint=views.blueprint(_layout(list(methods))),
         properties=properties,
     ) as writer:
-        writer.text("/about", _text(hands, methods, pinches))
+        writer.text("/about", _text(hands, methods, pinched))
         writer.at(hands.t)
-        _write_human(writer, hand, p_HK, tips, pinches)
+        _write_human(writer, hand, p_HK, tips)
+        white, radius = np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP_RADIUS
+        _write_pinches(writer, f"/{WORLD}/human", of_pairs(tips, pairs), pinched, white, radius)
+        writer.series("/gap/human", ["human"], 1e3 * gap[:, None], [SKIN], 2.5)
         for number, (color, (name, response)) in enumerate(
             zip(itertools.cycle(_COLORS), methods.items(), strict=False), start=1
         ):
@@ -215,7 +221,10 @@ def write_exploration(
             X_WB = RigidTransform([0.0, _SPACING * number, -hand.p_BW[2]])
             write_robot_hand(writer, hand_path, hand, response.q, X_WB)
             writer.label(f"{hand_path}/name", name, color, (0.0, 0.0, _LABEL_HEIGHT))
-            _write_marks(writer, hand_path, hand, response, pinches)
+            _write_marks(writer, hand_path, hand, response)
+            colors = np.where(response.closed[:, None], _CLOSED_COLOR, _FAULT_COLOR)
+            radius = 2.2 * _TIP_GROWTH * hand.tip_radius
+            _write_pinches(writer, hand_path, of_pairs(response.p_BF, pairs), pinched, colors, radius)
             curves = {
                 "error": 1e3 * response.error.mean(axis=1),
                 "motion": response.cosine,
@@ -224,47 +233,43 @@ def write_exploration(
             }
             for key, values in curves.items():
                 writer.series(entity_path(key, name), [name], values[:, None], [color])
-        _write_lanes(writer, hand, methods, pinches)
+        _write_lanes(writer, hand, methods, np.where(pinched, 1.0 + pairs[:, 1], 0.0))
 
 
-def _write_human(writer: Writer, hand: Hand, p_HK: np.ndarray, tips: np.ndarray, pinches: Pinches) -> None:
+def _write_human(writer: Writer, hand: Hand, p_HK: np.ndarray, tips: np.ndarray) -> None:
     path = entity_path(WORLD, "human")
     writer.human_hand(path, p_HK, SKIN)
     colors = [np.array(finger_colors(hand.finger_names))] * len(tips)
     writer.points(f"{path}/tips", list(tips), _HUMAN_TIP_RADIUS, colors, SOLID)
-    _write_pinches(writer, path, tips, pinches, np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP_RADIUS)
     writer.label(f"{path}/name", "recorded hand", SKIN, (0.0, 0.0, _LABEL_HEIGHT))
-    writer.series("/gap/human", ["human"], 1e3 * pinches.distance[:, None], [SKIN], 2.5)
 
 
-def _write_marks(writer: Writer, path: str, hand: Hand, response: Response, pinches: Pinches) -> None:
-    radius = 1.1 * hand.tip_radius  # covers the model's tip
+def _write_marks(writer: Writer, path: str, hand: Hand, response: Response) -> None:
+    radius = _TIP_GROWTH * hand.tip_radius
     tip_colors = [np.array(finger_colors(hand.finger_names))] * len(response.q)
     writer.points(f"{path}/tips", list(response.p_BF), radius, tip_colors, SOLID)
     writer.points(f"{path}/copy", list(response.copy), 1.1 * radius, _COPY_COLOR, CAGE)
-    colors = np.where(response.closed[:, None], _CLOSED_COLOR, _FAULT_COLOR)
-    _write_pinches(writer, path, response.p_BF, pinches, colors, 2.2 * radius)
     writer.points(f"{path}/collisions", response.collisions, 0.014, _FAULT_COLOR, SOLID)
 
 
 def _write_pinches(
-    writer: Writer, path: str, tips: np.ndarray, pinches: Pinches, colors: np.ndarray, radius: float
+    writer: Writer, path: str, tips: np.ndarray, pinched: np.ndarray, colors: np.ndarray, radius: float
 ) -> None:
-    """Draws a cage of colours (T, 3) around the midpoint of the tips that should meet."""
-    middle, pinched = pinches.select(tips).mean(axis=1), pinches.closed.astype(int)
-    rows = [point[None][:count] for point, count in zip(middle, pinched, strict=True)]
-    shades = [color[None][:count] for color, count in zip(colors, pinched, strict=True)]
+    """Draws a cage of colours (T, 3) around pairs of tips (T, 2, 3) that should meet where `pinched` (T,)."""
+    middle, counts = tips.mean(axis=1), pinched.astype(int)
+    rows = [point[None][:count] for point, count in zip(middle, counts, strict=True)]
+    shades = [color[None][:count] for color, count in zip(colors, counts, strict=True)]
     writer.points(f"{path}/pinch", rows, radius, shades, CAGE)
 
 
-def _write_lanes(writer: Writer, hand: Hand, methods: Mapping[str, Response], pinches: Pinches) -> None:
-    codes = np.where(pinches.closed, 1.0 + pinches.pair[:, 1], 0.0)
+def _write_lanes(writer: Writer, hand: Hand, methods: Mapping[str, Response], asked: np.ndarray) -> None:
+    """Writes lanes of the pinches that are `asked` for (T,), 1 + the finger or 0, and of each method's."""
     labels = ("–", *hand.finger_names)
-    writer.states(entity_path(_PINCH_LANE), codes, labels, [_IDLE, *finger_colors(hand.finger_names)])
+    writer.states(entity_path(_PINCH_LANE), asked, labels, [_IDLE, *finger_colors(hand.finger_names)])
     for name, response in methods.items():
         collides = np.array([len(points) > 0 for points in response.collisions])
         pinch = np.where(response.closed, 1.0, 2.0)
-        codes = np.where(collides, 3.0, np.where(pinches.closed, pinch, 0.0))
+        codes = np.where(collides, 3.0, np.where(asked > 0, pinch, 0.0))
         writer.states(entity_path(name), codes, _STATES, _STATE_COLORS)
 
 
@@ -289,8 +294,8 @@ def _layout(methods: Sequence[str]) -> views.View:
     return views.Horizontal(left, right, column_shares=[5, 3])
 
 
-def _text(hands: Recording, methods: Mapping[str, Response], pinches: Pinches) -> str:
-    responses, pinched = methods.values(), pinches.closed
+def _text(hands: Recording, methods: Mapping[str, Response], pinched: np.ndarray) -> str:
+    responses = methods.values()
     table = {
         "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in responses],
         "direction of motion kept": [f"{np.nanmean(a.cosine):.2f}" for a in responses],

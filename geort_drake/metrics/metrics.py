@@ -5,7 +5,6 @@ B, m. Figures are means over fingers. Random numbers come from a NumPy Generator
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -115,36 +114,22 @@ def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.where(norms > 0, (a * b).sum(-1) / np.where(norms > 0, norms, 1.0), 0.0)
 
 
-@dataclass(frozen=True)
-class Pinches:
-    """The thumb and the finger nearest to it in T hands.
-
-    Attributes:
-        pair: (T, 2) numbers of the thumb and that finger.
-        distance: (T,) distance between the two human tips, m.
-    """
-
-    pair: np.ndarray
-    distance: np.ndarray
-
-    @property
-    def closed(self) -> np.ndarray:
-        """(T,) whether the pair pinches."""
-        return self.distance < PINCH_M
-
-    def select(self, tips: np.ndarray) -> np.ndarray:
-        """Selects the tips (T, 2, 3) of these pairs from any fingertips (T, F, 3)."""
-        return tips[np.arange(len(tips))[:, None], self.pair]
-
-
-def find_pinches(tips: np.ndarray, finger_names: Sequence[str]) -> Pinches:
-    """Finds the pinches of human fingertips (T, F, 3), m."""
+def nearest_pairs(tips: np.ndarray, finger_names: Sequence[str]) -> np.ndarray:
+    """Returns the numbers (T, 2) of the thumb and the finger nearest to it, of fingertips (T, F, 3)."""
     thumb = list(finger_names).index("thumb")
     others = np.array([i for i in range(len(finger_names)) if i != thumb])
-    distances = np.linalg.norm(tips[:, others] - tips[:, [thumb]], axis=-1)
-    nearest = distances.argmin(axis=1)
-    pair = np.stack([np.full(len(tips), thumb), others[nearest]], axis=1)
-    return Pinches(pair, distances[np.arange(len(tips)), nearest])
+    nearest = np.linalg.norm(tips[:, others] - tips[:, [thumb]], axis=-1).argmin(axis=1)
+    return np.stack([np.full(len(tips), thumb), others[nearest]], axis=1)
+
+
+def of_pairs(tips: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Selects from fingertips (T, F, 3) those of pairs (T, 2): (T, 2, 3)."""
+    return tips[np.arange(len(tips))[:, None], pairs]
+
+
+def pair_distances(tips: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """Returns the distances (T,) of pairs (T, 2) of fingertips (T, F, 3); under `PINCH_M`, people pinch."""
+    return np.linalg.norm(np.diff(of_pairs(tips, pairs), axis=1)[:, 0], axis=-1)
 
 
 def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
@@ -228,9 +213,9 @@ def pinch(
             "frames": len(distance),
         }
 
-    pinches = find_pinches(frames, finger_names)
-    nearest = np.linalg.norm(np.diff(pinches.select(p_BF), axis=1)[:, 0], axis=-1)
-    return figures(nearest[pinches.closed]) | {
+    pairs = nearest_pairs(frames, finger_names)
+    nearest = pair_distances(p_BF, pairs)[pair_distances(frames, pairs) < PINCH_M]
+    return figures(nearest) | {
         "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
         "all_pairs": figures(robot[human < PINCH_M]),
     }
