@@ -36,6 +36,7 @@ def write_urdf(
     side: str = "left",
     offset: float = 0.0,
     leader: str = "",
+    drawn: float = 0.0,
     geometry: bool = True,
     changes: dict[str, str] | None = None,
     name: str = "hand.urdf",
@@ -45,6 +46,7 @@ def write_urdf(
     Args:
         offset: distance in front of the spread joint at which the mcp joint lies, m.
         leader: if "mcp" or "pip", there are no spread joints, and the other of both joints follows this one.
+        drawn: angle by which mcp and pip joints of fingers are bent where their positions are zero, rad.
         geometry: whether there is any.
         changes: texts to replace, which must occur.
     """
@@ -61,7 +63,8 @@ def write_urdf(
         for kind in ("spread", "mcp", "pip"):
             if leader and kind == "spread":
                 continue
-            axis, limits, mimic = "0 1 0", (0.0, 1.4), ""
+            bent = 0.0 if thumb or kind == "spread" else drawn
+            axis, limits, mimic = "0 1 0", (0.0 - bent, 1.4 - bent), ""
             if kind == "spread":
                 axis, limits = "1 0 0", (-0.26, 0.26)
             if thumb:
@@ -74,7 +77,7 @@ def write_urdf(
             lines.append(link(name_of_link, 0.0 if kind == "spread" else LENGTH))
             lines.append(
                 f'<joint name="{finger}_{kind}" type="revolute"><parent link="{parent}"/>'
-                f'<child link="{name_of_link}"/><origin xyz="{" ".join(map(str, origin))}"/>'
+                f'<child link="{name_of_link}"/><origin xyz="{" ".join(map(str, origin))}" rpy="0 {bent} 0"/>'
                 f'<axis xyz="{axis}"/>'
                 f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="5"/>{mimic}</joint>'
             )
@@ -143,6 +146,13 @@ def test_the_base_does_not_depend_on_which_joint_leads(leader, tmp_path):
     reach = hand.fingertips(np.zeros(len(hand.joint_names)))[1:, 2].max()
     p_BK = hand.kinematics().fingers[1].X_PJ[0, 2, 3]
     assert reach - p_BK == pytest.approx(2 * LENGTH - 0.006, abs=0.003)
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(("drawn", "leader"), [(0.7, ""), (1.2, ""), (0.7, "mcp"), (0.7, "pip")])
+def test_the_base_does_not_depend_on_how_far_fingers_are_bent_as_drawn(drawn, leader, side, tmp_path):
+    """A relaxed or closed hand has its zero positions in the middle or at the end of its joints' ranges."""
+    assert_upright(propose(write_urdf(tmp_path, side, leader=leader, drawn=drawn))[0], side)
 
 
 @pytest.mark.parametrize(

@@ -129,6 +129,8 @@ _PARALLEL = np.cos(np.deg2rad(35.0))
 _STRETCH_GRID = 41
 # A joint stays at its start where stretching lengthens the finger by less than this fraction.
 _STRETCH_GAIN = 0.02
+# A finger whose joints beyond the first are bent by more than this on average starts bent, rad.
+_BENT = np.deg2rad(15.0)
 # Fingers bend to one side if mid-range is off the stretched posture by this part of the range.
 CLOSING_FRACTION = 0.25
 
@@ -172,8 +174,9 @@ class FingerShape:
 def finger_shapes(hand: Hand, start: np.ndarray) -> list[FingerShape]:
     """Returns the shapes of a hand's stretched fingers.
 
-    The first bending joint stays at its start, which for most models is the straight finger; beyond it, the
-    finger is as long as it can be. A spread joint before it thus has no influence, wherever it lies.
+    Beyond its first bending joint, the finger is as long as it can be. A spread joint before it thus has no
+    influence, wherever it lies. The first bending joint itself stays at its start, where most models are
+    straight; where the joints beyond it start bent, it is taken to start bent by as much.
 
     Args:
         hand: the hand.
@@ -215,6 +218,13 @@ def _shape(
             reach = np.linalg.norm(tips - origins[:, first], axis=1)
             longest = int(np.argmax(reach))
             q = trials[longest if reach[longest] > (1 + _STRETCH_GAIN) * reach[0] else 0]
+    (own, *others) = np.flatnonzero(coupling[joints[first]]).tolist()
+    if movers and not others and own not in movers:
+        # The angle about the first joint's axis by which the joints beyond it start bent on average.
+        unbent = ((coupling @ (q - start))[joints][:, None] * axes)[bends][1:].sum(axis=0)
+        angle = float(unbent @ axes[first]) / len(beyond) / coupling[joints[first], own]
+        if abs(angle) > _BENT:
+            q[own] = np.clip(start[own] + angle, kinematics.lower[own], kinematics.upper[own])
     (axes,), (origins,), (tip,) = pose(q[None])
     angles = (coupling @ q)[joints]
     bend = ((0.5 * (lower + upper) - angles)[:, None] * axes)[bends].sum(axis=0)
