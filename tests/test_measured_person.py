@@ -11,7 +11,6 @@ from system_bench import Bench, Watch
 from geort_drake import GloveReplay, Recording, RetargetingSystem, add_hand_model, load_hand, load_retargeter
 from geort_drake.errors import GeortError
 from geort_drake.people.synthetic.population import sample_person
-from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.person import MEASURED_FRAMES, PERSON_FIELDS, PersonMap
 from geort_drake.systems.retargeting_status import (
@@ -33,8 +32,7 @@ class Session(Bench):
 
     def __init__(self):
         limits, start = JointLimits(RETARGET.lower, RETARGET.upper), RETARGET.for_person(PLAY[:1])(PLAY[0])
-        checks = GloveChecks(ease_at_start=False)
-        super().__init__(RETARGET, start=start, limits=limits, checks=checks)
+        super().__init__(RETARGET, start=start, limits=limits, ease_at_start=False)
         self.watch = Watch(limits, 0.01, start)
 
     def show(self, frames, valid=1.0):

@@ -13,10 +13,9 @@ from geort_drake.errors import FrameError, HandError, RecordingError
 from geort_drake.simulation.task import PERIOD, Outcome
 from geort_drake.simulation.tasks.grasp import GraspPhase, GraspSettings, judgement
 from geort_drake.systems.glove import GloveRecorder
-from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.port_values import pose_to_vector
-from geort_drake.systems.retargeting_status import HELD_NOT_FINITE, HELD_OUT_OF_RANGE
+from geort_drake.systems.retargeting_status import EASING, HELD_NOT_FINITE, HELD_OUT_OF_RANGE, SETTLING
 from geort_drake.systems.retargeting_system import TRACKING
 from geort_drake.systems.wrist_to_arm import Clutch
 
@@ -69,9 +68,8 @@ def test_recording_a_replay_gives_the_recording_back():
 def retargeting_bench(retarget, latency=0.0, **timing) -> SystemBench:
     plant = joint_plant(("index_a", "thumb_a", "thumb_b"))
     limits = JointLimits(np.full(3, -2.0), np.full(3, 2.0), 1e9, 1e12)
-    checks = GloveChecks(settle_time=0.0, ease_time=0.0, ease_at_start=False)
     system = RetargetingSystem(
-        retarget, *plant, joint_names=JOINTS, limits=limits, latency=latency, checks=checks
+        retarget, *plant, joint_names=JOINTS, limits=limits, latency=latency, ease_at_start=False
     )
     bench = SystemBench(system, **timing)
     bench.fix(valid=1.0)
@@ -106,7 +104,8 @@ def test_retargeting_holds_when_the_map_gives_no_number():
         return next(answers)
 
     bench = retargeting_bench(own)
-    for step, (wanted, state) in enumerate(((0.1, TRACKING), (0.1, HELD_NOT_FINITE), (0.3, TRACKING))):
+    held = [(0.1, HELD_NOT_FINITE), *[(0.1, SETTLING)] * 3]
+    for step, (wanted, state) in enumerate([(0.1, TRACKING), *held, (0.3, EASING)]):
         bench.fix(keypoints=np.full(63, 1e-3 * step))
         bench.advance()
         np.testing.assert_allclose(bench.value("desired_state")[:3], wanted)
@@ -125,6 +124,7 @@ def test_retargeting_holds_where_the_map_refuses_the_frame_of_the_keypoints():
     for x, wanted, state in (
         (1e-3, 1e-3, TRACKING),
         (-1e-3, 1e-3, HELD_OUT_OF_RANGE),
+        *[(2e-3, 1e-3, SETTLING)] * 3,
         (2e-3, 2e-3, TRACKING),
     ):
         bench.fix(keypoints=np.full(63, x))
@@ -194,9 +194,7 @@ def test_models_that_commands_cannot_respect_are_refused_by_joint():
 
 def test_limits_and_start_come_from_the_plant_and_an_unconnected_valid_port_counts_as_tracked():
     """Without `valid`, good keypoints are followed."""
-    system = RetargetingSystem(
-        first_three, *joint_plant(JOINTS), joint_names=JOINTS, checks=GloveChecks(settle_time=0.0)
-    )
+    system = RetargetingSystem(first_three, *joint_plant(JOINTS), joint_names=JOINTS)
     bench = SystemBench(system)
     for _ in range(200):
         bench.fix(keypoints=np.full(63, 0.25) + 1e-6 * bench.ticks)

@@ -19,7 +19,6 @@ from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Outcome, Stage
 from geort_drake.systems.corrections import ActionCorrection
 from geort_drake.systems.glove import GloveRecorder
-from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import HELD_LOST
 from geort_drake.systems.wrist_to_arm import WristChecks
@@ -185,7 +184,7 @@ def make_teleoperation(
     # Fingers.
     valid = switch.GetOutputPort("valid")
     retargeting, correction = add_fingers(
-        builder, scenario, model, retarget, q_hand, glove, valid, scenario.retargeting.latency, GloveChecks()
+        builder, scenario, model, retarget, q_hand, glove, valid, scenario.retargeting.latency
     )
     safe_pose = [model.description.default_positions.get(name, 0.0) for name in model.hand.joints]
     watchdog = builder.AddNamedSystem(

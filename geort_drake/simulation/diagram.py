@@ -25,7 +25,6 @@ from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import actuated_state
 from geort_drake.simulation.worn_glove import WornGlove
 from geort_drake.systems.glove import GloveRecorder, GloveReplay
-from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.port_values import mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
@@ -132,9 +131,8 @@ def make_trial_diagram(
     step = scenario.plant_config.time_step
     latency = step * math.ceil(scenario.retargeting.latency / step - 1e-6)
     valid = source.GetOutputPort("valid")
-    checks = GloveChecks(ease_at_start=False)
     retargeting, correction = add_fingers(
-        builder, scenario, model, retarget, model.hand.start, source, valid, latency, checks
+        builder, scenario, model, retarget, model.hand.start, source, valid, latency, ease_at_start=False
     )
     builder.Connect(retargeting.GetOutputPort("desired_state"), correction.GetInputPort("desired_state"))
     builder.Connect(actuated_state(builder, plant, hand), correction.GetInputPort("hand_state"))

@@ -21,7 +21,6 @@ from geort_drake.systems.corrections import (
     load_policy,
 )
 from geort_drake.systems.glove import HandMirror
-from geort_drake.systems.glove_checks import GloveChecks
 from geort_drake.systems.joint_limits import JointLimits, actuated_joints
 from geort_drake.systems.retargeting_system import RetargetingSystem
 from geort_drake.systems.wrist_to_arm import WristToArm
@@ -121,7 +120,7 @@ def add_fingers(
     glove: LeafSystem,
     valid: OutputPort,
     latency: float,
-    checks: GloveChecks,
+    ease_at_start: bool = True,
 ) -> tuple[RetargetingSystem, ActionCorrection]:
     """Adds retargeting, connected to the glove, and correction, not connected.
 
@@ -130,7 +129,7 @@ def add_fingers(
         start: initial positions of the hand's joints (n,), rad, in the model's order.
         glove: a system with the output port `keypoints` and, optionally, `stamp`.
         valid: port that tells whether the keypoints are tracked.
-        latency, checks: see `RetargetingSystem`.
+        latency, ease_at_start: see `RetargetingSystem`.
 
     Raises:
         HandError: the retargeter was trained for another hand or moves other joints than the robot has, or
@@ -154,7 +153,7 @@ def add_fingers(
             period=settings.period,
             limits=model.limits,
             latency=latency,
-            checks=checks,
+            ease_at_start=ease_at_start,
             cutoff=settings.cutoff,
         ),
     )

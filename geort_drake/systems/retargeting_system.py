@@ -12,7 +12,6 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import FrameError, GeortError, HandError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
-from geort_drake.systems.glove_checks import GLOVE_FIELDS, GloveChecks, find_fault
 from geort_drake.systems.joint_limits import (
     DEFAULT_SPEED,
     JointLimits,
@@ -26,6 +25,7 @@ from geort_drake.systems.retargeting_status import (
     EASING,
     FOLLOWED,
     FROZEN,
+    GLOVE_FIELDS,
     HELD_NOT_FINITE,
     HELD_OTHER_PERSON,
     HELD_OUT_OF_RANGE,
@@ -36,10 +36,17 @@ from geort_drake.systems.retargeting_status import (
     STATES,
     TRACKING,
     RetargetingStatus,
+    find_fault,
 )
 
 _ROUNDING = 1e-9  # s; of sums of periods
 _DISTANCE_PERIOD = 0.1  # s, between two computations of the distance from training
+# m; a fingertip farther than this from its training data is reported. New motions of the same person stay
+# within 0.01 m; another person's hand is 0.03 to 0.05 m away.
+_TRAINED_TOLERANCE = 0.02
+_SETTLE_TIME = 0.03  # s; the input must be good for this long before it is followed
+# s; after a hold, the joints' speed limit grows from zero over the hold's duration, at most this.
+_EASE_TIME = 0.5
 
 
 class RetargetingSystem(PythonSystem):
@@ -86,13 +93,14 @@ class RetargetingSystem(PythonSystem):
         limits: limits of the targets, in actuator order; by default those of the model, with a speed of at
             most 7 rad/s.
         latency: time from keypoints to their joint targets, s, at most 10.
-        checks: thresholds of the input checks.
+        ease_at_start: whether the start counts as the end of a long hold; otherwise the first keypoints are
+            followed at once.
         cutoff: cutoff frequency of a first-order low-pass on the targets, Hz; 0 for none.
 
     Raises:
         HandError: the retargeter's joints are unknown or are not those that the model actuates, or an initial
             position is outside of the limits; while it runs, `retarget` returned another shape.
-        ValueError: a value of `checks`, or the period, latency or cutoff is out of range.
+        ValueError: the period, latency or cutoff is out of range.
     """
 
     def __init__(
@@ -106,7 +114,7 @@ class RetargetingSystem(PythonSystem):
         period: float = 0.01,
         limits: JointLimits | None = None,
         latency: float = 0.0,
-        checks: GloveChecks | None = None,
+        ease_at_start: bool = True,
         cutoff: float = 0.0,
     ):
         super().__init__()
@@ -125,8 +133,6 @@ class RetargetingSystem(PythonSystem):
         self._trained_space = getattr(retarget, "trained_space", None)
         for_person = getattr(retarget, "for_person", None)
         self._person_map = None if for_person is None else PersonMap(for_person)
-        self._checks = checks or GloveChecks()
-        self._checks.validate()
         self._limits = limits or JointLimits.of_plant(plant, model, DEFAULT_SPEED)
         if initial_positions is None:
             initial_positions = {joint.name(): float(joint.default_positions()[0]) for joint in joints}
@@ -161,7 +167,7 @@ class RetargetingSystem(PythonSystem):
             start[name] = 0.0
         start["state"], start["distance_at"] = STATES.index(SETTLING), -math.inf
         # The start is the end of a long hold, or the hand follows at once.
-        start["held_since" if self._checks.ease_at_start else "good_since"] = -math.inf
+        start["held_since" if ease_at_start else "good_since"] = -math.inf
         self._memory = self._declare_record(start)
         if self._person_map is not None:
             self._person = self._declare_record(np.zeros(1, PERSON_FIELDS)[0])
@@ -232,7 +238,7 @@ class RetargetingSystem(PythonSystem):
         """Returns the state, if the input p_HK (63,), m, determines it, and whether it is followed."""
         valid = not self._valid_port.HasValue(context) or self._valid_port.Eval(context)[0] >= 0.5
         stamp = float(self._stamp_port.Eval(context)[0]) if self._stamp_port.HasValue(context) else None
-        fault = find_fault(self._checks, memory, now, self.period, p_HK, valid, stamp)
+        fault = find_fault(memory, now, self.period, p_HK, valid, stamp)
         follows = math.isnan(memory["held_since"])
         frozen = fault == FROZEN and follows
         if follows and not frozen and STATES[int(memory["state"])] == FROZEN:
@@ -242,7 +248,7 @@ class RetargetingSystem(PythonSystem):
             return fault, False
         if math.isnan(memory["good_since"]):
             memory["good_since"] = now
-        if now - memory["good_since"] < self._checks.settle_time - _ROUNDING:
+        if now - memory["good_since"] < _SETTLE_TIME - _ROUNDING:
             return SETTLING, False
         return fault, True
 
@@ -298,7 +304,7 @@ class RetargetingSystem(PythonSystem):
         follows = math.isnan(memory["held_since"])
         last = memory["target"].copy() if follows or self._blend < 1.0 else q
         if not follows:
-            memory["easing"] = min(self._checks.ease_time, now - memory["held_since"])
+            memory["easing"] = min(_EASE_TIME, now - memory["held_since"])
             memory["eased_from"], memory["held_since"] = now, math.nan
         share = 1.0  # usable fraction of the speed limit
         if memory["easing"] > 0.0:
@@ -314,7 +320,7 @@ class RetargetingSystem(PythonSystem):
             return state
         if memory["easing"] > 0.0:
             return EASING
-        if memory["distance"] > self._checks.trained_tolerance:
+        if memory["distance"] > _TRAINED_TOLERANCE:
             return OUTSIDE
         return TRACKING if reached else LIMITED
 
