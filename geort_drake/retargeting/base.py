@@ -1,9 +1,7 @@
 """The interface of all retargeters: human fingertips in, joint angles of a robot hand out."""
 
 import json
-import math
 import os
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar
@@ -230,44 +228,32 @@ def keypoints_of(hand: Any) -> Sequence[int] | None:
     return hand.description.human_keypoints if hasattr(hand, "description") else None
 
 
-def axes_of(shape: str, sizes: Mapping[str, int]) -> tuple[int, ...]:
-    """Returns the lengths of axes such as "F 3 h" or "12F Fk", given those that the letters stand for."""
-    return tuple(
-        math.prod(
-            int(factor) if factor.isdigit() else sizes[factor] for factor in re.findall(r"\d+|\D", axis)
-        )
-        for axis in shape.split()
-    )
+def width_of(arrays: Mapping[str, np.ndarray], name: str) -> int:
+    """Returns the length of an array's last axis; 1 if it is missing, which `require_arrays` reports."""
+    return np.atleast_1d(arrays.get(name, 0)).shape[-1]
 
 
 def require_arrays(
-    arrays: Mapping[str, np.ndarray], shapes: Mapping[str, str], sizes: dict[str, int]
+    arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]
 ) -> dict[str, np.ndarray]:
-    """Returns the arrays named in `shapes`, see `axes_of`, in double precision.
-
-    The first array with a letter that `sizes` lacks determines it.
+    """Returns the arrays that are named in `shapes`, in double precision.
 
     Raises:
         MapError: an array is missing, has another shape or no elements, or is not finite.
     """
+    if missing := [name for name in shapes if name not in arrays]:
+        raise MapError(f"weights: '{missing[0]}' is missing; there are {', '.join(sorted(arrays))}")
     result = {}
     for name, shape in shapes.items():
-        if name not in arrays:
-            raise MapError(f"weights: '{name}' is missing; there are {', '.join(sorted(arrays))}")
-        value, axes = np.asarray(arrays[name]), shape.split()
-        usable = value.size > 0 and value.ndim == len(axes) and value.dtype.kind in "fiu"
+        value = np.asarray(arrays[name])
+        usable = value.size > 0 and value.shape == shape and value.dtype.kind in "fiu"
         if usable:
-            for axis, size in zip(axes, value.shape, strict=True):
-                if len(axis) == 1 and axis.isalpha():
-                    sizes.setdefault(axis, size)
             with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
-                finite = bool(np.isfinite(value.astype(np.float32)).all())
-            usable = finite and value.shape == axes_of(shape, sizes)
+                usable = bool(np.isfinite(value.astype(np.float32)).all())
         if not usable:
-            lengths = ", ".join(f"{letter} = {size}" for letter, size in sizes.items())
             raise MapError(
-                f"weights: '{name}' must be finite and of shape ({', '.join(axes)}), with {lengths}; it is "
-                f"of shape {value.shape} and type {value.dtype}"
+                f"weights: '{name}' must be finite and of shape {shape}; it is of shape {value.shape} and "
+                f"type {value.dtype}"
             )
         result[name] = value.astype(float)
     return result

@@ -5,49 +5,59 @@ from collections.abc import Mapping
 import numpy as np
 
 from geort_drake.errors import MapError
-from geort_drake.retargeting.base import Retargeter, axes_of, require_arrays
+from geort_drake.retargeting.base import Retargeter, require_arrays, width_of
 
-# Shapes of the arrays in files. F fingers have networks of h hidden units and k outputs; n joints have their
-# numbers among these F·k outputs in `columns`.
-FINGERS = {
-    "weight0": "F 3 h",
-    "bias0": "F 1 h",
-    "weight1": "F h h",
-    "bias1": "F 1 h",
-    "weight2": "F h k",
-    "bias2": "F 1 k",
-    "columns": "n",
-}
-# The network of r hidden units that sees all fingertips.
-RESIDUAL = {
-    "residual_weight0": "3F r",
-    "residual_bias0": "r",
-    "residual_weight1": "r r",
-    "residual_bias1": "r",
-    "residual_weight2": "r Fk",
-    "residual_bias2": "Fk",
-}
+Shapes = dict[str, tuple[int, ...]]  # of the arrays in files
+
+
+def finger_shapes(arrays: Mapping[str, np.ndarray], F: int, n: int) -> Shapes:
+    """Returns the shapes of the networks of F fingers, with h hidden units and k outputs each.
+
+    `columns` has the numbers of n joints among the F·k outputs.
+    """
+    h, k = width_of(arrays, "bias0"), width_of(arrays, "bias2")
+    return {
+        "weight0": (F, 3, h),
+        "bias0": (F, 1, h),
+        "weight1": (F, h, h),
+        "bias1": (F, 1, h),
+        "weight2": (F, h, k),
+        "bias2": (F, 1, k),
+        "columns": (n,),
+    }
+
+
+def residual_shapes(inputs: int, r: int, outputs: int) -> Shapes:
+    """Returns the shapes of the network of r hidden units that sees all fingertips."""
+    return {
+        "residual_weight0": (inputs, r),
+        "residual_bias0": (r,),
+        "residual_weight1": (r, r),
+        "residual_bias1": (r,),
+        "residual_weight2": (r, outputs),
+        "residual_bias2": (outputs,),
+    }
 
 
 class MlpRetargeter(Retargeter):
     """q = centre + half range · tanh(f_i(x_i) + r(x_1, …, x_F)), with networks of two hidden SiLU layers.
 
     f_i sees the fingertip of finger i, and r, which may be absent, sees all. Stateless and thread-safe. The
-    weights are `FINGERS` and `RESIDUAL`.
+    weights have `finger_shapes` and `residual_shapes`.
     """
 
     kind = "mlp"
 
     def _prepare(self, arrays: Mapping[str, np.ndarray]) -> None:
-        sizes = {"F": len(self.finger_names), "n": len(self.joint_names)}
-        w = require_arrays(arrays, FINGERS, sizes)
-        F, k, columns = sizes["F"], sizes["k"], w["columns"].astype(int)
-        if len(set(columns)) != len(columns) or not (columns.min() >= 0 and columns.max() < F * k):
-            raise MapError(f"weights: columns must be different numbers below {F * k}, not {columns}")
+        F = len(self.finger_names)
+        w = require_arrays(arrays, finger_shapes(arrays, F, len(self.joint_names)))
+        outputs, columns = w["bias2"].size, w["columns"].astype(int)
+        if len(set(columns)) != len(columns) or not (columns.min() >= 0 and columns.max() < outputs):
+            raise MapError(f"weights: columns must be different numbers below {outputs}, not {columns}")
         if "residual_weight0" in arrays:
-            w |= require_arrays(arrays, RESIDUAL, sizes)
+            w |= require_arrays(arrays, residual_shapes(3 * F, width_of(arrays, "residual_bias0"), outputs))
         else:
-            w |= {name: np.zeros(axes_of(shape, sizes | {"r": 0})) for name, shape in RESIDUAL.items()}
+            w |= {name: np.zeros(shape) for name, shape in residual_shapes(3 * F, 0, outputs).items()}
         # Layers 0 and 2 of all networks are one matrix each; in layer 1 that would be mostly zeros.
         self._weight0 = np.hstack([_block_diagonal(w["weight0"]), w["residual_weight0"]])
         self._bias0 = np.concatenate([w["bias0"].ravel(), w["residual_bias0"]])

@@ -13,36 +13,44 @@ from geort_drake.errors import MapError
 from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.people.checks import good_frames, require_wrist_frame_hand
 from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
-from geort_drake.retargeting.base import Retargeter, require_arrays
+from geort_drake.retargeting.base import Retargeter, require_arrays, width_of
 from geort_drake.retargeting.clouds import TrainedSpace
-from geort_drake.retargeting.mlp import FINGERS, RESIDUAL, MlpRetargeter
+from geort_drake.retargeting.mlp import MlpRetargeter, Shapes, finger_shapes, residual_shapes
 from geort_drake.retargeting.numpy_kinematics import match_joints
 
 MEASURED_FRAMES = 30  # different good frames that measure a hand: 0.3 s of a glove, 1 s of a camera
 PAIR_UNIT = 0.05  # m; unit of the vectors between the thumb's tip and the others
 MAX_DEVIATION = 3.0  # standard deviations of the training's people to which a shape is clamped
-# Shapes of the arrays in files, as in `mlp`. The residual sees i = 3F + 3 (F − 1) inputs: fingertips, and
-# differences from the thumb's. Layers of m units process the shape of the hand.
-SHAPES = {
-    **FINGERS,
-    **RESIDUAL,
-    "residual_weight0": "i r",
-    "shape_mean": "4F",
-    "shape_deviation": "4F",
-    "shape_weight0": "4F m",
-    "shape_bias0": "m",
-    "shape_weight1": "m m",
-    "shape_bias1": "m",
-    "input_mean": "F 3",
-    "input_scale": "F 3",
-    "input_weight": "m 12F",
-    "input_bias": "12F",
-    "modulation_weight": "4 F m h",
-    "modulation_bias": "4 F h",
-    "residual_modulation_weight": "2 m r",
-    "residual_modulation_bias": "2 r",
-}
 _ALONE = "for fingertips alone, call the map that `for_person` returns"
+
+
+def weight_shapes(arrays: Mapping[str, np.ndarray], F: int, n: int) -> Shapes:
+    """Returns the shapes of the arrays in files, for F fingers and n joints.
+
+    The residual sees fingertips, and differences from the thumb's. Layers of m units process the shape of the
+    hand.
+    """
+    fingers = finger_shapes(arrays, F, n)
+    h, outputs = fingers["weight1"][-1], F * fingers["bias2"][-1]
+    r, m = width_of(arrays, "residual_bias0"), width_of(arrays, "shape_bias0")
+    return {
+        **fingers,
+        **residual_shapes(3 * F + 3 * (F - 1), r, outputs),
+        "shape_mean": (4 * F,),
+        "shape_deviation": (4 * F,),
+        "shape_weight0": (4 * F, m),
+        "shape_bias0": (m,),
+        "shape_weight1": (m, m),
+        "shape_bias1": (m,),
+        "input_mean": (F, 3),
+        "input_scale": (F, 3),
+        "input_weight": (m, 12 * F),
+        "input_bias": (12 * F,),
+        "modulation_weight": (4, F, m, h),
+        "modulation_bias": (4, F, h),
+        "residual_modulation_weight": (2, m, r),
+        "residual_modulation_bias": (2, r),
+    }
 
 
 def hand_shape(p_HK: np.ndarray, finger_names: Sequence[str]) -> np.ndarray:
@@ -68,7 +76,7 @@ class UniversalRetargeter(Retargeter):
 
     A call takes whole hands, and measures the shape of the hand on them.
 
-    The weights are `SHAPES`. One finger must be the thumb.
+    The weights have `weight_shapes`. One finger must be the thumb.
     """
 
     kind = "universal"
@@ -79,9 +87,9 @@ class UniversalRetargeter(Retargeter):
             raise MapError(f"finger_names: unknown {unknown[0]!r}; known are {', '.join(TIP_KEYPOINT)}")
         if "thumb" not in names:
             raise MapError(f"finger_names: 'thumb' is missing; there are {', '.join(names)}")
-        self._thumb, F = names.index("thumb"), len(names)
-        sizes = {"F": F, "n": len(self.joint_names), "i": 3 * F + 3 * (F - 1)}
-        self._weights = weights = dict(arrays) | require_arrays(arrays, SHAPES, sizes)
+        self._thumb = names.index("thumb")
+        shapes = weight_shapes(arrays, len(names), len(self.joint_names))
+        self._weights = weights = dict(arrays) | require_arrays(arrays, shapes)
         for name in ("shape_deviation", "input_scale"):
             if not (weights[name] > 0).all():
                 raise MapError(f"weights: '{name}' must be positive")
