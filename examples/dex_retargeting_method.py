@@ -5,7 +5,7 @@ import tempfile
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geort_drake.hands.hand import canonical_kinematics
+from geort_drake.retargeting.base import kinematics_of
 
 
 def make(hand):
@@ -32,7 +32,7 @@ def hand_urdf(hand) -> str:
     The links are `base` (B), `wrist`, `JOINT_link` for each joint and `FINGER_tip` for each fingertip point.
     Joints have the hand's names and limits. Links have neither shapes nor inertia.
     """
-    kinematics = canonical_kinematics(hand)
+    kinematics = kinematics_of(hand)
     parts = ['<link name="base"/>', _fixed("wrist", "base", kinematics.p_BW)]
     for finger in kinematics.fingers:
         parent = "base"

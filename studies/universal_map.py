@@ -15,13 +15,13 @@ import numpy as np
 
 from geort_drake.console import print_table
 from geort_drake.files import finite_json
-from geort_drake.hands.hand import Hand, canonical_kinematics
+from geort_drake.hands.hand import Hand
 from geort_drake.metrics.evaluation import adapted, distal_phalanges, evaluate_frames
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.affine_ik import AffineIK
-from geort_drake.retargeting.base import Retargeter
+from geort_drake.retargeting.base import Retargeter, kinematics_of
 from geort_drake.retargeting.store import load_retargeter
 
 UNSEEN = 1000  # seed of people who are in no training
@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         distal = distal_phalanges(recording, hand.description.human_keypoints)
         methods = dict(maps)
         if arguments.affine:
-            methods["affine_ik"] = AffineIK(canonical_kinematics(hand), p_HF)
+            methods["affine_ik"] = AffineIK(kinematics_of(hand), p_HF)
         for name, retarget in methods.items():
             own = adapted(retarget, recording)
             metrics, _ = evaluate_frames(own, hand, p_HF, recording.rate_hz, distal=distal)

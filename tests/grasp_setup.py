@@ -13,10 +13,10 @@ from shared import shared, synthesized
 
 from geort_drake import Hand, Recording, load_scenario, run_trial
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
+from geort_drake.retargeting.base import kinematics_of
 from geort_drake.simulation.diagram import TrialDiagram
 from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
 from geort_drake.simulation.person.finger_motion import FingerMotion
@@ -58,7 +58,7 @@ def person_who_plays() -> HumanHand:
 def centred_map(hand: Hand | None = None) -> AffineIK:
     """The affine map of each fingertip with a known gain, for a robot hand, by default the Allegro."""
     hand = hand or allegro()
-    retarget = AffineIK(canonical_kinematics(hand), play().fingertips(hand.description.human_keypoints))
+    retarget = AffineIK(kinematics_of(hand), play().fingertips(hand.description.human_keypoints))
     retarget.gain = GAIN
     return retarget
 

@@ -12,10 +12,10 @@ import yaml
 from geort_drake import Hand, load_hand, load_retargeter
 from geort_drake.cli import run_command
 from geort_drake.errors import HandError
-from geort_drake.hands.hand import canonical_kinematics
 from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.resources import hand_names, models_dir
+from geort_drake.retargeting.base import kinematics_of
 from geort_drake.retargeting.numpy_kinematics import MIRROR_TOLERANCE_M, match_joints
 from geort_drake.retargeting.store import shipped_maps
 
@@ -81,7 +81,7 @@ def test_a_map_has_the_joints_and_limits_of_the_hands_model(name, hands):
 @pytest.mark.parametrize("name", LEFT_HANDS)
 def test_a_left_hands_map_moves_the_mirror_image_of_the_right_hands_fingertips(name, hands):
     left, right = hands(name), hands(name.replace("left", "right"))
-    assert match_joints(right.kinematics(), canonical_kinematics(left)) is not None
+    assert match_joints(right.kinematics(), kinematics_of(left)) is not None
     p_HK = sample_person(7, 0).record(2.0, 30.0).p_HK
     tips = [
         np.array([1.0, sign, 1.0]) * hand.fingertips(load_retargeter(hand.description.name)(p_HK))
@@ -91,7 +91,7 @@ def test_a_left_hands_map_moves_the_mirror_image_of_the_right_hands_fingertips(n
 
 
 def test_a_hand_with_another_range_is_no_mirror_image(allegro, allegro_left):
-    left = canonical_kinematics(allegro_left)
+    left = kinematics_of(allegro_left)
     assert match_joints(allegro.kinematics(), left) is not None
     assert match_joints(allegro.kinematics(), dataclasses.replace(left, upper=left.upper + 0.1)) is None
 

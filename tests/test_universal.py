@@ -13,10 +13,11 @@ from retargeting_toy import toy_kinematics
 from geort_drake import load_retargeter
 from geort_drake.errors import GeortError, MapError, MismatchError, RecordingError, TrainingError
 from geort_drake.hands.collision import canonical_shapes
-from geort_drake.hands.hand import Hand, canonical_kinematics
+from geort_drake.hands.hand import Hand
 from geort_drake.metrics.evaluation import fingertips_of
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic.population import sample_person
+from geort_drake.retargeting.base import kinematics_of
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.retargeting.universal.losses import DistalDirections, UniversalSettings
@@ -238,7 +239,7 @@ def test_an_interrupted_training_resumes_to_the_same_weights(tmp_path, monkeypat
     people = np.stack([play(0), play(1)]).astype(np.float32)
     monkeypatch.setattr(f"{module}.sample_population", lambda count, seed, duration_s: people)
     hand, _ = shipped("allegro_right")
-    parts, state = (canonical_kinematics(hand), canonical_shapes(hand)), tmp_path / "state"
+    parts, state = (kinematics_of(hand), canonical_shapes(hand)), tmp_path / "state"
     settings = dataclasses.replace(QUICK, steps=24, people=2)
     whole = train_universal(*parts, settings)
     with pytest.raises(_Interrupted):
@@ -262,7 +263,7 @@ def test_a_short_training_serves_people_it_has_not_seen(training_seed, reaches):
     """In 300 steps, motions of unseen people's fingertips turn from random directions to their own."""
     hand, _ = shipped("allegro_right")
     settings = dataclasses.replace(QUICK, steps=300)
-    retarget = train_universal(canonical_kinematics(hand), canonical_shapes(hand), settings, training_seed)
+    retarget = train_universal(kinematics_of(hand), canonical_shapes(hand), settings, training_seed)
     for person in range(3):
         own = retarget.for_person(play(person)[:30])
         p_HF = play(person)[:, own.human_keypoints]
@@ -305,7 +306,7 @@ def test_the_shipped_map_serves_unseen_people_from_the_first_second(name, most_d
     """
     hand, retarget = shipped(name)
     assert Path(shipped_maps()[name]).stat().st_size <= 700_000
-    fingertips, directions = fingertips_of(hand), DistalDirections(canonical_kinematics(hand))
+    fingertips, directions = fingertips_of(hand), DistalDirections(kinematics_of(hand))
     cosines, gains, closed, angles = [], [], [], []
     for person in range(16):
         own = retarget.for_person(play(person)[:30])

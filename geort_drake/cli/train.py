@@ -181,11 +181,11 @@ class Train(Command):
         from geort_drake import Hand, load_retargeter
         from geort_drake.console import progress_bar
         from geort_drake.hands.collision import canonical_shapes
-        from geort_drake.hands.hand import canonical_kinematics
+        from geort_drake.retargeting.base import kinematics_of
         from geort_drake.retargeting.universal.train import train_universal
 
         hand = Hand(name)
-        kinematics, shapes = canonical_kinematics(hand), canonical_shapes(hand)
+        kinematics, shapes = kinematics_of(hand), canonical_shapes(hand)
 
         def train(
             settings: "UniversalSettings", start: Any, stage: str, state: Path
@@ -206,7 +206,7 @@ class Train(Command):
         written = {f"Map for {hand.description.name}": _save_universal(retargeter, hand, output)}
         first.unlink(missing_ok=True)
         if (other := _other_side(hand)) is not None:
-            converted = retargeter.mirrored(kinematics, canonical_kinematics(other))
+            converted = retargeter.mirrored(kinematics, kinematics_of(other))
             if converted is not None:
                 path = output.with_name(f"{other.description.name}{output.suffix}")
                 written[f"Map for {other.description.name}"] = _save_universal(converted, other, path)

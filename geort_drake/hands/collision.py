@@ -291,7 +291,7 @@ def collision_shapes(hand: Hand) -> CollisionShapes:
 
 
 def canonical_shapes(hand: Hand) -> CollisionShapes:
-    """Returns the hand's collision shapes; a left hand's are mirrored as by `canonical_kinematics`.
+    """Returns the hand's collision shapes; a left hand's are mirrored as by `kinematics_of`.
 
     Raises:
         HandError: as `collision_shapes`.

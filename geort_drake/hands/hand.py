@@ -243,11 +243,3 @@ def _digest(description: HandDescription, model_sha256: str) -> str:
         if getattr(description, name) == getattr(HandDescription(), name):
             del facts[name]
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
-
-
-def canonical_kinematics(hand: Hand) -> HandKinematics:
-    """Returns the hand's kinematics; a left hand's are mirrored in the plane y = 0 of the hand base.
-
-    Human hands are always stored as right hands.
-    """
-    return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()

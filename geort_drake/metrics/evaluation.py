@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from geort_drake.errors import HandError, MethodError, RecordingError
-from geort_drake.hands.hand import Hand, canonical_kinematics
+from geort_drake.hands.hand import Hand
 from geort_drake.metrics.metrics import (
     FingertipMap,
     context_averaged,
@@ -30,7 +30,7 @@ from geort_drake.metrics.metrics import (
 )
 from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import Recording
-from geort_drake.retargeting.base import forget
+from geort_drake.retargeting.base import forget, kinematics_of
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.online import AnyTeleop
 from geort_drake.retargeting.universal import UniversalRetargeter
@@ -182,7 +182,7 @@ def evaluate_frames(
 
 def fingertips_of(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
     """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m, mirrored for a left hand."""
-    return _in_blocks(NumpyKinematics(canonical_kinematics(hand)))
+    return _in_blocks(NumpyKinematics(kinematics_of(hand)))
 
 
 def distal_links(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
@@ -190,7 +190,7 @@ def distal_links(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
 
     They lead from the origin of each finger's last joint to the fingertip.
     """
-    kinematics = canonical_kinematics(hand)
+    kinematics = kinematics_of(hand)
     tip, origin = (_in_blocks(NumpyKinematics(each)) for each in (kinematics, kinematics.to_last_joints()))
     return lambda q: tip(q) - origin(q)
 
