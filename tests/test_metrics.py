@@ -1,6 +1,7 @@
 """Every metric against maps for which its value is known in closed form."""
 
 import dataclasses
+import functools
 import json
 import math
 from types import SimpleNamespace
@@ -10,11 +11,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geort_drake import load_retargeter, synthesize_play
-from geort_drake.errors import HandError, MethodError
+from geort_drake.errors import GeortError, HandError, MethodError, RecordingError
 from geort_drake.metrics import evaluation, metrics
 from geort_drake.metrics.compare import TABLES, flat
 from geort_drake.own_method import OwnMethod
 from geort_drake.people.keypoints import FINGER_KEYPOINTS
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.clouds import voxel_thinned
 
 NAMES = ("thumb", "index", "middle")
@@ -319,6 +321,21 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     without, *_ = evaluation.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5)
     missing = {"coverage", "coverage_context_averaged", "posture"}
     assert {key for key in without if without[key] is None} == missing
+
+
+def test_recordings_that_are_no_hand_of_the_robots_side_are_not_evaluated(allegro):
+    """As reading a file refuses them: another unit, another frame, the other side."""
+    retarget, play = load_retargeter("allegro_right"), synthesize_play(0, duration_s=1.0)
+    for p_HK, message in (
+        (1e3 * play.p_HK, "right if lengths were in mm"),
+        (play.p_HK + np.float32(0.1), "must be given in the wrist frame H"),
+        (play.p_HK * [-1, 1, 1], "of the other side"),
+    ):
+        for use in (HumanHand.fit, functools.partial(evaluation.evaluate, retarget, allegro)):
+            with pytest.raises(GeortError, match=message):
+                use(dataclasses.replace(play, p_HK=p_HK))
+    with pytest.raises(RecordingError, match="is of a left hand, the robot's is a right hand"):
+        evaluation.evaluate(retarget, allegro, synthesize_play(0, duration_s=1.0, side="left"))
 
 
 def test_only_a_retargeter_of_the_hand_that_takes_batches_is_evaluated(allegro):

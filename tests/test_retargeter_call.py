@@ -110,6 +110,15 @@ def test_wrong_input_is_refused(retarget):
                 retarget(points)
 
 
+def test_a_left_hand_in_its_own_wrist_frame_is_refused_where_it_bends(retarget):
+    """There its fingers bend to -x; straight fingers look like those of a right hand."""
+    left = play().p_HK.astype(float) * [-1, 1, 1]
+    fist = left[:, list(TIP_KEYPOINT.values())[1:], 0].mean(axis=1).argmin()
+    for points in (left, left[fist]):
+        with pytest.raises(GeortError, match=r"wrist frame H .*as of a left hand.*from_keypoints"):
+            retarget(points)
+
+
 def test_whole_hands_that_are_not_in_the_wrist_frame_or_of_the_other_side_are_refused(retarget):
     """Shifted, turned and mirrored hands, one or many; those of a recording are accepted."""
     hands = play().p_HK.astype(float)

@@ -1,5 +1,7 @@
 """Each system by itself: fix the inputs, advance, evaluate."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
@@ -8,8 +10,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench, joint_plant
 
-from geort_drake import GloveReplay, Recording, RetargetingSystem
-from geort_drake.errors import FrameError, HandError, RecordingError
+from geort_drake import GloveReplay, Recording, RetargetingSystem, synthesize_play
+from geort_drake.errors import FrameError, GeortError, HandError, RecordingError
 from geort_drake.simulation.task import PERIOD, Outcome
 from geort_drake.simulation.tasks.grasp import GraspPhase, GraspSettings, judgement
 from geort_drake.systems.glove import GloveRecorder
@@ -28,7 +30,7 @@ def small_recording(frames: int = 12, rate: float = 100.0) -> Recording:
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     return Recording(
         t=np.arange(frames) / rate,
-        p_HK=rng.normal(0, 0.05, (frames, 21, 3)),
+        p_HK=synthesize_play(3, duration_s=1.0).p_HK[:frames],
         valid=np.arange(frames) % 5 != 4,
         X_WH=np.column_stack([quaternions, rng.normal(0, 0.2, (frames, 3))]),
         metadata={"side": "right"},
@@ -46,6 +48,16 @@ def test_replay_holds_each_sample_until_the_next():
         np.testing.assert_allclose(bench.value("wrist_pose").translation(), recording.X_WH[sample, 4:])
     with pytest.raises(RecordingError, match="without frames"):
         GloveReplay(small_recording(frames=0))
+
+
+def test_what_is_no_hand_in_the_wrist_frame_is_not_replayed():
+    """As reading a file refuses it: other units, frames and sides."""
+    recording = small_recording()
+    for factor, message in ((1e3, "right if lengths were in mm"), ([-1, 1, 1], "of the other side")):
+        with pytest.raises(GeortError, match=message):
+            GloveReplay(dataclasses.replace(recording, p_HK=recording.p_HK * factor))
+    with pytest.raises(GeortError, match="must be given in the wrist frame H"):
+        GloveReplay(dataclasses.replace(recording, p_HK=recording.p_HK + np.float32(0.1)))
 
 
 def test_recording_a_replay_gives_the_recording_back():

@@ -29,6 +29,7 @@ from geort_drake.metrics.metrics import (
     smoothness,
 )
 from geort_drake.own_method import OwnMethod
+from geort_drake.people.checks import require_hand
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting.base import forget, kinematics_of
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
@@ -81,10 +82,11 @@ def evaluate(
 
     Raises:
         HandError: the retargeter is for another hand.
-        RecordingError: the recording has too few frames.
+        RecordingError, MismatchError: the recording has too few frames, or see `require_hand`.
         ValueError: the retargeter returns another shape.
     """
     _require_same_hand(retarget, hand)
+    require_hand(recording, hand.description.side)
     keypoints = hand.description.human_keypoints
     frames = recording.fingertips(keypoints)[:frame_limit]
     distal = distal_phalanges(recording, keypoints)[:frame_limit]

@@ -124,6 +124,22 @@ def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> No
         )
 
 
+def require_hand(recording: Recording, side: str | None = None) -> None:
+    """Refuses a recording that was made from arrays which are no person's hand in H, m, or of another side.
+
+    Args:
+        recording: frames that were not read from a file, which would have been checked.
+        side: the expected side; None for any.
+
+    Raises:
+        RecordingError, MismatchError: see `require_wrist_frame_hand`; or another side.
+    """
+    if side is not None and recording.side != side:
+        raise RecordingError(f"the recording is of a {recording.side} hand, the robot's is a {side} hand")
+    p_HK = recording.p_HK[recording.valid]
+    require_wrist_frame_hand(p_HK[:: len(p_HK) // 1000 + 1], "the recording")
+
+
 def good_frames(p_HK: np.ndarray) -> np.ndarray:
     """Returns which frames (T,) of keypoints p_HK (T, 21, 3), m, are finite, of a person's size, and in H."""
     good = (np.abs(p_HK) < _LARGEST).all(axis=(1, 2))

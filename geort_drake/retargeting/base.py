@@ -20,8 +20,16 @@ FORMAT, HEADER, TRAINED_POINTS = 2, "geort_drake", "trained_points"
 _STEP = 1e-6  # m, of numerical derivatives
 # Among the 63 coordinates of a hand in H: those of the wrist, and x and y of the middle knuckle, are zero.
 _ZERO_IN_H = np.array([*range(3 * WRIST, 3 * WRIST + 3), 3 * MIDDLE_MCP, 3 * MIDDLE_MCP + 1])
-_INDEX_Y, _LITTLE_Y = (3 * BASE_KEYPOINT[name] + 1 for name in ("index", "little"))
 _OFF_FRAME = 0.02  # m, more than by any rounding or noise
+# Signs of the other hand, as weights (63, 2) of the coordinates, with sums over 1: the little finger's
+# knuckle lies on the index finger's side; or the fingers' tips lie on average 50 mm behind the palm, where
+# only a left hand bends them (right ones were measured up to 30 mm behind it).
+_OTHER_HAND = np.zeros((3 * KEYPOINT_COUNT, 2))
+_OTHER_HAND[[3 * BASE_KEYPOINT[name] + 1 for name in ("index", "little")], 0] = (
+    -1 / _OFF_FRAME,
+    1 / _OFF_FRAME,
+)
+_OTHER_HAND[[3 * keypoint for name, keypoint in TIP_KEYPOINT.items() if name != "thumb"], 1] = -0.25 / 0.05
 
 # Maps fingertips or keypoints of one or many hands to joint angles; a `Retargeter`, or a user's own function.
 Retarget = Callable[[np.ndarray], np.ndarray]
@@ -202,7 +210,7 @@ def _require_wrist_frame(p_HK: np.ndarray) -> None:
     """
     p = p_HK.reshape(-1, 3 * KEYPOINT_COUNT)
     off = np.abs(p[:, _ZERO_IN_H]).max(initial=0.0)
-    if off > _OFF_FRAME or (p[:, _LITTLE_Y] - p[:, _INDEX_Y]).max(initial=0.0) > _OFF_FRAME:
+    if off > _OFF_FRAME or (p @ _OTHER_HAND).max(initial=0.0) > 1.0:
         what = f"are off by {1e3 * off:.0f} mm" if off > _OFF_FRAME else "are mirrored, as of a left hand"
         raise FrameError(
             "human points must be those of a right hand in the wrist frame H (origin at the wrist, z to the "

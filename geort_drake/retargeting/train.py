@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geort_drake.console import progress_bar, say
-from geort_drake.errors import MapError, RecordingError, TrainingError
+from geort_drake.errors import MapError, TrainingError
 from geort_drake.files import locked, require_writable, source_digest
-from geort_drake.people.checks import require_wrist_frame_hand
+from geort_drake.people.checks import require_hand
 from geort_drake.people.coverage import finger_motions
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M, Recording
@@ -189,15 +189,13 @@ def training_recording(source: Recording | str | os.PathLike | None, side: str, 
 
     Raises:
         RecordingError, MismatchError: the recording is of the other hand, is no person's (see
-            `require_wrist_frame_hand`), or the file is unsuitable for training.
+            `require_hand`), or the file is unsuitable for training.
     """
     if source is None:
         return synthesize_play(seed, side=side)
     if not isinstance(source, Recording):
         return read_recording(source, side=side, training=True)
-    if source.side != side:
-        raise RecordingError(f"the recording is of a {source.side} hand, the robot's is a {side} hand")
-    require_wrist_frame_hand(source.p_HK[source.valid][:: len(source) // 1000 + 1], "the recording")
+    require_hand(source, side)
     return source
 
 

@@ -9,6 +9,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import RecordingError
+from geort_drake.people.checks import require_hand
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
 from geort_drake.people.recording_log import RecordingLog
@@ -30,13 +31,15 @@ class GloveReplay(PythonSystem):
     image, which retargeters expect; to draw it or to move an arm, `HandMirror` mirrors it back.
 
     Raises:
-        RecordingError: the recording has no frames.
+        RecordingError, MismatchError: the recording has no frames, or see `people.checks.require_hand`.
     """
 
     def __init__(self, recording: Recording):
         super().__init__()
         if len(recording.t) == 0:
             raise RecordingError("a recording without frames cannot be replayed")
+        if recording.valid.any():
+            require_hand(recording)
         # A list, because bisection in it is faster than in an array.
         self._t = (recording.t - recording.t[0]).tolist()
         self._keypoints = np.asarray(recording.p_HK, float).reshape(len(self._t), 63)

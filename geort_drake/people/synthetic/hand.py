@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError
+from geort_drake.people.checks import require_hand
 from geort_drake.people.keypoints import (
     BASE_KEYPOINT,
     FINGER_NAMES,
@@ -223,11 +224,12 @@ class HumanHand:
         percentile) widened by 2°.
 
         Raises:
-            RecordingError: fewer than ten valid frames.
+            RecordingError, MismatchError: fewer than ten valid frames, or see `require_hand`.
         """
         p_HK = recording.p_HK[recording.valid].astype(float)
         if len(p_HK) < 10:
             raise RecordingError(f"fitting a hand needs at least 10 valid frames, {len(p_HK)} given")
+        require_hand(recording)
         directions = bone_directions(p_HK)
         sample = directions[np.linspace(0, len(p_HK) - 1, min(len(p_HK), 400)).astype(int)]
         frames = [_fit_base_frame(sample[:, i], R) for i, R in enumerate(_nominal_base_frames())]
