@@ -19,7 +19,6 @@ from geort_drake.simulation.person.finger_motion import FingerMotion
 from geort_drake.simulation.person.handling import (
     GRASP,
     PLACE,
-    Placing,
     has_retreated,
     is_down,
     is_gathered,
@@ -153,7 +152,7 @@ def act_in(
     config = world.config
     own = own_play()
     goal = dc.replace(world.goal, play=FreePlay(own, world.robot_tips(own)))
-    placing = Placing(hover=0.02, upright=False)
+    placing = SimpleNamespace(hover=0.02, upright=False)
     person = Person(world.hand, goal, phases, kind, config, placing, np.random.default_rng(seed))
     names = [phase.name for phase in phases]
     memory = person.start(RigidTransform())
@@ -212,7 +211,7 @@ def test_a_person_turns_a_tilted_object_upright_or_leaves_a_small_tilt(upright, 
     """On the way to its place."""
     config = dc.replace(OperatorConfig(), **QUIET)
     world = StandInWorld(1.0, config)
-    goal, placing = dc.replace(world.goal, yaw_symmetry=0.0), Placing(hover=0.02, upright=upright)
+    goal, placing = dc.replace(world.goal, yaw_symmetry=0.0), SimpleNamespace(hover=0.02, upright=upright)
     person = Person(world.hand, goal, PLACE, "servo", config, placing, rng)
     X_WB, X_WO = world.X_WB, RigidTransform(RollPitchYaw(roll, -0.1, 0.5), [0.5, 0, 0.3])
     X_BO = X_WB.inverse() @ X_WO
@@ -231,7 +230,7 @@ def test_a_person_turns_a_tilted_object_upright_or_leaves_a_small_tilt(upright, 
 
 def moment(world: StandInWorld, phase: str, seen: Seen, rng: np.random.Generator, **notes) -> Moment:
     """What a person decides upon, one second after a phase of `PLACE` began."""
-    placing = Placing(hover=0.02, upright=False)
+    placing = SimpleNamespace(hover=0.02, upright=False)
     person = Person(world.hand, world.goal, PLACE, "servo", world.config, placing, rng)
     p_BO = (seen.X_BW @ seen.X_WO).translation()
     memory = dc.replace(

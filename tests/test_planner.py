@@ -70,7 +70,7 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
     bottom, _ = vertical_extent(thing.shape)
     for height, yaw, offset in itertools.product(heights, yaws, finger_offsets(thing.shape, grip)):
         contacts = grip_contacts(thing.shape, yaw, height, grip, offset=offset)
-        assert [contact.part for contact in contacts] == list(GRIPS[grip].fingers)
+        assert [contact.part for contact in contacts] == list(GRIPS[grip])
         for contact in (*contacts, palm_contact(thing.shape, yaw, height)):
             assert np.linalg.norm(contact.n_O) == pytest.approx(1) and abs(contact.n_O[2]) < 1e-12
             assert contact.p_OC[2] - bottom >= TIP_RADIUS - 1e-9 or contact.part == "palm"
@@ -177,7 +177,7 @@ def test_a_planned_grasp_touches_and_nothing_collides(name):
         assert pair.depth < allowed, f"{a.name()} in {b.name()} by {pair.depth}"
 
     surface = set(inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body.index()), Role.kProximity))
-    grasping = GRIPS[grip_of(name)].fingers
+    grasping = GRIPS[grip_of(name)]
     assert goal.touches.tolist() == [finger in grasping for finger in goal.finger_names]
     for number, finger in enumerate(description.fingers):
         tip = plant.GetBodyByName(finger.tip_link, hand).EvalPoseInWorld(context) @ np.array(finger.tip_point)

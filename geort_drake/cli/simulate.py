@@ -286,7 +286,7 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
     from geort_drake.simulation.plan.contacts import GRIPS, grip_of
 
     fingers = {*load_hand(hand).finger_names}
-    graspable = any(fingers.issuperset(GRIPS[grip_of(name)].fingers) for name in DEFAULT_OBJECTS)
+    graspable = any(fingers.issuperset(GRIPS[grip_of(name)]) for name in DEFAULT_OBJECTS)
     named = {"recording": recording, "hand": None if hand == "allegro_right" else hand}
     if graspable:
         return command("grasp", retargeter=retargeter, **named)

@@ -24,7 +24,6 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.settings import require_numbers
 from geort_drake.simulation.person.engine import KINDS, Person, Phase
 from geort_drake.simulation.person.goal import Goal, Plan
-from geort_drake.simulation.person.handling import Placing
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_robot, finalize, joint_state
 from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR, Immutable
@@ -293,7 +292,7 @@ class Task:
         cases_of: returns the objects, one per trial; None for a task without a choice.
         settings: dataclass of positive numbers for the scenario's `task_settings`; None for a task without.
         mirror: name of a percept → signs that mirror it for a left hand.
-        placing: how the person places the object, if they do.
+        placing: how the person places the object, if they do, with `hover` and `upright` of a `Transfer`.
         begins_straight: whether the person's fingers are straight at first, because bent ones would collide.
         kinds: kinds of people who can do it.
     """
@@ -308,7 +307,7 @@ class Task:
     cases_of: Callable[[], list[str]] | None = None
     settings: type | None = None
     mirror: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
-    placing: Placing | None = None
+    placing: Any = None
     begins_straight: bool = False
     kinds: tuple[str, ...] = tuple(KINDS)
 

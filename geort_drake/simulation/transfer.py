@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from geort_drake.simulation.person.handling import PLACE, Placing
+from geort_drake.simulation.person.handling import PLACE
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
 from geort_drake.simulation.world import add_placed_object
@@ -120,7 +120,8 @@ class Transfer(NamedTuple):
         steps: the steps, in order.
         place: returns X_WP from scenario, side of the hand and generator.
         hover: height above its place from which the person lowers the object, m.
-        upright: whether the person turns the object exactly upright, see `Placing`.
+        upright: whether the person turns the object exactly upright. Otherwise, a small tilt is left to what
+            it is put on: an object that hangs between two fingertips does not turn with the hand.
         add_fixtures: adds geometry that depends on the place.
     """
 
@@ -148,5 +149,4 @@ class Transfer(NamedTuple):
 
     def task(self, **fields: Any) -> Task:
         """Returns a task with these further fields of `Task`."""
-        placing = Placing(self.hover, self.upright)
-        return Task(add=self.add, phases=PLACE, placing=placing, percepts=("place_pose",), **fields)
+        return Task(add=self.add, phases=PLACE, placing=self, percepts=("place_pose",), **fields)

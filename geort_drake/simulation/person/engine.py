@@ -19,7 +19,7 @@ from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.finger_motion import FingerMotion, limited
 from geort_drake.simulation.person.learning import LearnedMotion, learned_in_play, motion_noise
-from geort_drake.simulation.person.perception import Seen, VisualError, averaged, perceive
+from geort_drake.simulation.person.perception import Seen, averaged, draw_errors, later_errors, perceive
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 from geort_drake.systems.port_values import Immutable
 
@@ -113,7 +113,7 @@ class Memory(Immutable):
     X_WH: RigidTransform
     # (5, 3) own fingertips in H at the last decisions, m; the oldest are as old as the seen scene.
     p_HF_past: tuple[np.ndarray, ...]
-    sight: VisualError
+    sight: np.ndarray  # present errors of vision, see `draw_errors`
     learned: LearnedMotion
     # (5, 3) own fingertips of the hand at the start, and of the open hand that begins the task, m; and
     # duration of the movement between the two, s.
@@ -301,7 +301,7 @@ class Person:
             theta=theta,
             X_WH=X_WH,
             p_HF_past=(p_HF,) * max(round(config.visual_delay / config.period), 1),
-            sight=VisualError.draw(num_fingers, config, self._rng),
+            sight=draw_errors(num_fingers, config, self._rng),
             learned=learned,
             p_HF_rest=p_HF,
             p_HF_open=p_HF_open,
@@ -327,7 +327,7 @@ class Person:
         if memory.theta is not self._posture[0]:  # a hand that holds something keeps its posture
             self._posture = memory.theta, self._hand.fingertips(memory.theta)
         past = (*memory.p_HF_past[1:], self._posture[1])
-        memory = dc.replace(memory, p_HF_past=past, sight=memory.sight.later(config, rng))
+        memory = dc.replace(memory, p_HF_past=past, sight=later_errors(memory.sight, config, rng))
         seen = perceive(scene, memory.sight, config, rng)
         m = Moment(t, seen, memory, self._expected(memory), self._goal, config, self._settings)
         if not memory.is_looking:

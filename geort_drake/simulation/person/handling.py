@@ -1,6 +1,5 @@
 """Phases of a person who grasps an object, and who brings it to a place."""
 
-import dataclasses as dc
 import math
 
 import numpy as np
@@ -18,20 +17,6 @@ _UNBALANCED = 0.5
 _LEAVING_DISTANCE = 0.02
 # An object that is put down with more tilt falls onto another side, rad.
 _MAX_TILT = math.radians(45)
-
-
-@dc.dataclass(frozen=True)
-class Placing:
-    """How an object is placed.
-
-    Attributes:
-        hover: height above its place from which the object is lowered, m.
-        upright: whether the person turns the object exactly upright. Otherwise, a small tilt is left to
-            what it is put on: an object that hangs between two fingertips does not turn with the hand.
-    """
-
-    hover: float
-    upright: bool
 
 
 # -- where the fingertips go

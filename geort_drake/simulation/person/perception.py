@@ -59,48 +59,43 @@ class FreePlay(NamedTuple):
     period: float = 1 / 30  # s between two frames
 
 
-@dc.dataclass(frozen=True)
-class VisualError:
-    """Present errors of vision."""
+def draw_errors(num_fingers: int, config: OperatorConfig, rng: np.random.Generator) -> np.ndarray:
+    """Draws errors of vision (F + 5, 3), independent of earlier ones.
 
-    # (F + 2, 3) position errors of fingertips, hand and place relative to the object, in W, m; and (3, 3)
-    # rotation errors of object, hand and place as rotation vectors, rad.
-    p: np.ndarray
-    turn: np.ndarray
-
-    @classmethod
-    def draw(cls, num_fingers: int, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
-        """Returns independent errors of the configured sizes."""
-        n = rng.normal(size=(num_fingers + 2, 3))
-        across, along = config.visual_noise, config.visual_depth_noise
-        p = across * n + (along - across) * (n.dot(GAZE_W)[:, None] * GAZE_W)
-        return cls(p, rng.normal(0, config.visual_turn_noise, (3, 3)))
-
-    def later(self, config: OperatorConfig, rng: np.random.Generator) -> "VisualError":
-        """Returns the errors one period later."""
-        share = math.exp(-config.period / config.visual_noise_time) if config.visual_noise_time else 0.0
-        new, weight = VisualError.draw(len(self.p) - 2, config, rng), math.sqrt(1 - share**2)
-        return VisualError(share * self.p + weight * new.p, share * self.turn + weight * new.turn)
+    They are position errors of F fingertips, hand and place relative to the object, in W, m; then rotation
+    errors of object, hand and place as rotation vectors, rad.
+    """
+    n = rng.normal(size=(num_fingers + 2, 3))
+    across, along = config.visual_noise, config.visual_depth_noise
+    p = across * n + (along - across) * (n.dot(GAZE_W)[:, None] * GAZE_W)
+    return np.concatenate([p, rng.normal(0, config.visual_turn_noise, (3, 3))])
 
 
-def perceive(scene: Seen, error: VisualError, config: OperatorConfig, rng: np.random.Generator) -> Seen:
-    """Returns the scene with errors of vision, and with new noise on forces at each call.
+def later_errors(errors: np.ndarray, config: OperatorConfig, rng: np.random.Generator) -> np.ndarray:
+    """Returns the errors of vision one period later."""
+    share = math.exp(-config.period / config.visual_noise_time) if config.visual_noise_time else 0.0
+    return share * errors + math.sqrt(1 - share**2) * draw_errors(len(errors) - 5, config, rng)
+
+
+def perceive(scene: Seen, errors: np.ndarray, config: OperatorConfig, rng: np.random.Generator) -> Seen:
+    """Returns the scene with errors of vision, see `draw_errors`, and with new noise on forces at each call.
 
     Only positions relative to the object matter, so the object's own position has no error.
     """
-    turn_O, turn_B, turn_P = map(rotation_of_vector, error.turn)
+    p_F, p_B, p_P = errors[:-5], errors[-5], errors[-4]
+    turn_O, turn_B, turn_P = map(rotation_of_vector, errors[-3:])
 
     def moved(X: RigidTransform, turn: RotationMatrix, p: np.ndarray) -> RigidTransform:
         return RigidTransform(turn @ X.rotation(), X.translation() + p)
 
     factor = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
     return Seen(
-        scene.p_WF + error.p[:-2],
-        moved(scene.X_WB, turn_B, error.p[-2]),
+        scene.p_WF + p_F,
+        moved(scene.X_WB, turn_B, p_B),
         moved(scene.X_WO, turn_O, np.zeros(3)),
         # A felt force is never negative.
         scene.contact * np.maximum(factor, 0) * config.touch,
-        scene.X_WP and moved(scene.X_WP, turn_P, error.p[-1]),
+        scene.X_WP and moved(scene.X_WP, turn_P, p_P),
         scene.percepts,
     )
 

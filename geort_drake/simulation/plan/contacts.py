@@ -27,36 +27,23 @@ _LOWER = (0.0015, 0.001)
 _ABOVE_EDGE = 0.0015
 
 
-@dc.dataclass(frozen=True)
-class Grip:
-    """A way to hold an upright object: the touching fingers and their directions around the vertical.
-
-    Names follow the taxonomy of grasps (Cutkosky 1989; Feix et al. 2016): pinch and tripod are precision
-    grasps between fingertips; a power grasp presses the object into the palm.
-    """
-
-    # Finger → its angle about the vertical from the grip's axis, rad, and its level above the grip's height,
-    # in fingers. The axis runs from the thumb to the fingers. Angles are for a right hand; a left hand's are
-    # negated.
-    fingers: dict[str, tuple[float, int]]
-    # Whether the object lies in the palm; the palm's normal is then at 90° from the grip's axis.
-    palm: bool = False
-
-
+# Ways to hold an upright object: grip → touching finger → its angle about the vertical from the grip's axis,
+# rad, and its level above the grip's height, in fingers. The axis runs from the thumb to the fingers. Angles
+# are for a right hand; a left hand's are negated. Names follow the taxonomy of grasps (Cutkosky 1989; Feix et
+# al. 2016): pinch and tripod are precision grasps between fingertips; a power grasp presses the object into
+# the palm.
 GRIPS = {
-    "pinch": Grip({"thumb": (math.pi, 0), "index": (0.0, 0)}),
-    "tripod": Grip({"thumb": (math.pi, 0), "index": (math.radians(28), 0), "middle": (math.radians(-28), 0)}),
+    "pinch": {"thumb": (math.pi, 0), "index": (0.0, 0)},
+    "tripod": {"thumb": (math.pi, 0), "index": (math.radians(28), 0), "middle": (math.radians(-28), 0)},
     # The fingers reach around the far side, so that they and the thumb press towards the palm.
-    "power": Grip(
-        {
-            "thumb": (math.radians(150), 0),
-            "index": (math.radians(45), 1),
-            "middle": (math.radians(45), 0),
-            "ring": (math.radians(45), -1),
-        },
-        palm=True,
-    ),
+    "power": {
+        "thumb": (math.radians(150), 0),
+        "index": (math.radians(45), 1),
+        "middle": (math.radians(45), 0),
+        "ring": (math.radians(45), -1),
+    },
 }
+PALM_GRIP = "power"  # with the object in the palm, whose normal is at 90° from the grip's axis
 
 
 def grip_of(name: str) -> str:
@@ -106,12 +93,12 @@ def grip_contacts(
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
     step, widest = _vertical_step(spacing), math.pi / 2
-    if spacing is not None and not GRIPS[grip].palm:
+    if spacing is not None and grip != PALM_GRIP:
         offset = spacing / 2
         widest = math.asin(min(offset / half_extents(shape.main[0])[0], 1.0))
     return [
         _contact(shape, finger, yaw, _turned(_narrowed(angle, widest), side), z + level * step, offset)
-        for finger, (angle, level) in GRIPS[grip].fingers.items()
+        for finger, (angle, level) in GRIPS[grip].items()
     ]
 
 
@@ -170,14 +157,14 @@ def contact_heights(
         shares = (0.55, 0.4, 0.75)
     bottom, top = vertical_extent(shape)
     centre, half = X_OG.translation()[2], half_extents(main)[2]
-    raised = [level * _vertical_step(spacing) for _, level in GRIPS[grip].fingers.values()]
+    raised = [level * _vertical_step(spacing) for _, level in GRIPS[grip].values()]
     fitting = []
     for share in shares:
         z = bottom + share * (top - bottom)
         on_main = z + max(raised) <= centre + half - _EDGE and z + min(raised) >= centre - half + _EDGE
         if on_main and z + min(raised) - bottom >= lowest:
             fitting.append(share)
-    if fitting or isinstance(main, Sphere | Ellipsoid) or GRIPS[grip].palm:
+    if fitting or isinstance(main, Sphere | Ellipsoid) or grip == PALM_GRIP:
         return fitting
     above_edges = [(lowest - lower, bottom + lowest - lower - (centre + half)) for lower in _LOWER]
     return [z / (top - bottom) for z, above in above_edges if -_EDGE < above <= _ABOVE_EDGE]
@@ -189,7 +176,7 @@ def finger_offsets(shape: ObjectShape, grip: str) -> tuple[float, ...]:
     Round objects and grips without adjacent fingers have only one.
     """
     main, _ = shape.main
-    alone = all(math.isclose(math.sin(angle), 0, abs_tol=1e-9) for angle, _ in GRIPS[grip].fingers.values())
+    alone = all(math.isclose(math.sin(angle), 0, abs_tol=1e-9) for angle, _ in GRIPS[grip].values())
     if alone or not isinstance(main, Box):
         return _OFFSETS[:1]
     # Boxes are grasped across their shorter side, see `yaw_candidates`.

@@ -18,6 +18,7 @@ from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.plan.approach import APPROACH_CLEARANCE, GraspApproach
 from geort_drake.simulation.plan.contacts import (
     GRIPS,
+    PALM_GRIP,
     Contact,
     contact_heights,
     finger_offsets,
@@ -71,14 +72,14 @@ class GraspPlanner:
     ):
         self._grip, self._tip_height = grip or grip_of(scenario.object.name), tip_height
         self._X_WP = X_WP
-        require_fingers(description, GRIPS[self._grip].fingers, f"a {self._grip} grasp needs")
+        require_fingers(description, GRIPS[self._grip], f"a {self._grip} grasp needs")
         self._description = description
         self._scenario = scenario
-        grasping = [finger for finger in description.fingers if finger.name in GRIPS[self._grip].fingers]
+        grasping = [finger for finger in description.fingers if finger.name in GRIPS[self._grip]]
         # Least height of a fingertip's centre above the object's support, m.
         self._lowest = max(finger.tip_radius for finger in description.fingers) + _TIP_GAP
         self._fewest_joints = min(len(finger.joints) for finger in grasping)
-        self._kinematics = GraspKinematics(scenario, description, list(GRIPS[self._grip].fingers))
+        self._kinematics = GraspKinematics(scenario, description, list(GRIPS[self._grip]))
         robot = self._kinematics
         self._approach = GraspApproach(
             description,
@@ -211,7 +212,7 @@ class GraspPlanner:
         for step, height in enumerate(heights):
             for yaw in yaw_candidates(shape)[0]:
                 contacts = grip_contacts(shape, yaw, height, self._grip, side, offset, spacing)
-                palm = palm_contact(shape, yaw, height, side) if GRIPS[self._grip].palm else None
+                palm = palm_contact(shape, yaw, height, side) if self._grip == PALM_GRIP else None
                 if not self._tips_are_clear(contacts):
                     continue
                 relaxed = robot.touch(contacts, palm, q_start, collisions=False)
