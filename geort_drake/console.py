@@ -92,15 +92,13 @@ class Display(Progress):
 
         return update
 
-    def losses(self, label: str, also: "Report | None") -> "Report":
-        """Returns a `Report` callback that shows the losses of a training and then calls `also`."""
+    def losses(self, label: str) -> "Report":
+        """Returns a `Report` callback that shows the losses of a training."""
         update = self.counter(label)
 
         def report(step: int, steps: int, losses: dict[str, float]) -> None:
             note = "  ".join(f"{key} {losses[key]:.3f}" for key in _SHOWN_LOSSES if key in losses)
             update(step, steps, note)
-            if also is not None:
-                also(step, steps, losses)
 
         return report
 

@@ -191,7 +191,7 @@ class Train(Command):
             settings: "UniversalSettings", start: Any, stage: str, state: Path
         ) -> "UniversalRetargeter":
             with progress_bar(not self.quiet) as bars:
-                report = bars.losses(f"{hand.description.name}, {stage}", None)
+                report = bars.losses(f"{hand.description.name}, {stage}")
                 return train_universal(
                     kinematics, shapes, settings, self.seed, self.device, report, state, start, p_HK
                 )

@@ -68,7 +68,6 @@ def train_map(
     seed: int = 0,
     device: str = "cpu",
     settings: Mapping | None = None,
-    report: Callable | None = None,
     show_progress: bool = True,
 ) -> Retargeter:
     """Trains a map on a recording.
@@ -80,7 +79,6 @@ def train_map(
         seed: seed of robot samples, synthetic play and training.
         device: "cpu" or "cuda".
         settings: settings of the method that differ from its defaults.
-        report: called as report(steps done, total steps, row of losses).
         show_progress: draw a progress bar on stderr.
 
     Returns:
@@ -99,9 +97,8 @@ def train_map(
     messages += check_fingertips(p_HF, hand.finger_names)
     started = time.perf_counter()
     with progress_bar(show_progress) as bars:
-        report = bars.losses("training", report)
         retargeter = find_method(method).fit(
-            hand, p_HF, seed=seed, config=config, device=device, report=report
+            hand, p_HF, seed=seed, config=config, device=device, report=bars.losses("training")
         )
     retargeter.robot_hands = (hand.description.name,)
     retargeter.trained_space = TrainedSpace.of_recording(p_HF, keypoints)

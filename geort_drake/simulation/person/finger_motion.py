@@ -2,11 +2,8 @@
 
 import numpy as np
 
-from geort_drake.people.synthetic.hand import HumanHand
+from geort_drake.people.synthetic.hand import BEND_RATIO, HumanHand
 
-# Bend of the outermost joint relative to that of the joint before it: two thirds in fingers (textbook; 0.4 to
-# 0.85 in recorded play), one in the thumb (recorded play).
-_COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
 # A straight finger is singular: no small motion of its joints shortens it.
 _MIN_BEND = np.deg2rad(8.0)
 # Steps are damped where a radian moves the tip by less than 2 mm.
@@ -23,15 +20,15 @@ class FingerMotion:
     """Inverse kinematics of a human hand in three coordinates per finger, within its joint limits.
 
     The coordinates are abduction, flexion of the base joint, and a bend shared by both outer joints
-    (`_COUPLING`), so every fingertip position has one natural posture.
+    (`BEND_RATIO`), so every fingertip position has one natural posture.
     """
 
     def __init__(self, hand: HumanHand):
         self._hand = hand
         lower, upper = hand.lower.reshape(5, 4), hand.upper.reshape(5, 4)
         # The shared bend ends where one of the two joints reaches its limit.
-        bend_lower = np.maximum(np.maximum(lower[:, 2], lower[:, 3] / _COUPLING), _MIN_BEND)
-        bend_upper = np.minimum(upper[:, 2], upper[:, 3] / _COUPLING)
+        bend_lower = np.maximum(np.maximum(lower[:, 2], lower[:, 3] / BEND_RATIO), _MIN_BEND)
+        bend_upper = np.minimum(upper[:, 2], upper[:, 3] / BEND_RATIO)
         self._lower = np.column_stack([lower[:, :2], np.minimum(bend_lower, bend_upper)])
         self._upper = np.column_stack([upper[:, :2], np.maximum(bend_lower, bend_upper)])
         self._R_BH = hand.R_HB.transpose(0, 2, 1)
@@ -70,7 +67,7 @@ class FingerMotion:
         The formulas are those of `HumanHand`, in fewer and smaller operations.
         """
         abduction, flexion, bend = x.T
-        angles = np.array([abduction, flexion, bend, (1.0 + _COUPLING) * bend])
+        angles = np.array([abduction, flexion, bend, (1.0 + BEND_RATIO) * bend])
         (sa, sf, s1, s2), (ca, cf, c1, c2) = np.sin(angles), np.cos(angles)
         ct, st = self._twist
         first, middle, last = self._hand.lengths.T
@@ -87,10 +84,10 @@ class FingerMotion:
         J = np.empty((3, 3, 5))
         J[:, 0] = along * y - across * st * z
         J[0, 1], J[1, 1], J[2, 1] = tip[2], 0.0, -tip[0]
-        J[:, 2] = (beyond + _COUPLING * c2) * u - (across + _COUPLING * s2) * z
+        J[:, 2] = (beyond + BEND_RATIO * c2) * u - (across + BEND_RATIO * s2) * z
         return tip.T, J.transpose(2, 0, 1)
 
     def _angles(self, x: np.ndarray) -> np.ndarray:
         theta = np.empty((5, 4))
-        theta[:, :3], theta[:, 3] = x, _COUPLING * x[:, 2]
+        theta[:, :3], theta[:, 3] = x, BEND_RATIO * x[:, 2]
         return theta.ravel()
