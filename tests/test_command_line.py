@@ -119,14 +119,12 @@ def test_facts_repeated_for_help_agree_with_their_modules():
     from geort_drake.export import episode, lerobot, parquet
     from geort_drake.people import recording
     from geort_drake.people.checks import UNITS_M
-    from geort_drake.retargeting.geort import FORWARD_KINEMATICS
 
     def choices(command, field):
         return set(re.findall(r"'(\w+)'", str(typing.get_type_hints(command)[field])))
 
     assert Train.method == retargeting.DEFAULT_METHOD and "universal" in retargeting.METHODS
     assert set(typing.get_args(base.Side)) == set(recording.SIDES)
-    assert choices(Train, "fk") == set(FORWARD_KINEMATICS)
     assert choices(ConvertRecording, "unit") == set(UNITS_M)
     files = [episode.RESULTS, log.TRIALS, parquet.EPISODES, lerobot.INFO]
     assert list(base.RESULT_FILES) == files

@@ -48,8 +48,8 @@ def train(light_evaluation, play, tmp_path):
 
 
 def test_the_command_passes_on_settings_and_stores_the_metrics(train, allegro, play, capsys):
-    """--set, --steps and --fk; --json prints the stored metrics, which are those of the stored weights."""
-    retarget = train("--fk", "exact", "--steps", "3", "--set", "pinch_weight=2000", "--json", "-", "--quiet")
+    """--set; --json prints the stored metrics, which are those of the stored weights."""
+    retarget = train("--set=fk=exact", "--set=steps=3", "--set=pinch_weight=2000", "--json", "-", "--quiet")
     assert retarget.info["config"].items() >= {"fk": "exact", "steps": 3, "pinch_weight": 2000.0}.items()
     metrics = json.loads(capsys.readouterr().out)
     assert metrics == retarget.info["metrics"] and metrics["recording_sha256"] == play.digest

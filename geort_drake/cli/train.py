@@ -13,13 +13,11 @@ from geort_drake.cli.base import (
     Command,
     HandName,
     Json,
+    OutputFile,
     Seed,
     finish,
     methods_epilog,
     options,
-    require,
-    require_output_file,
-    require_output_folder,
     write_json,
 )
 from geort_drake.cli.simulate import try_out
@@ -38,7 +36,6 @@ class Train(Command):
 
       geort-drake train --hand allegro_right --recording alex.npy --output runs/alex.safetensors
       geort-drake train --hand my_hand.yaml --universal --output my_hand.safetensors
-      geort-drake train --universal --hands wuji_right shadow_right --output maps
 
     A recording should have five minutes in which the person moves every finger to its limits, and pinches
     each with the thumb. In a program, geort_drake.load_retargeter(FILE) loads the map.
@@ -52,11 +49,9 @@ class Train(Command):
     Exit codes: 0 success; 2 the input is invalid or the loss is not finite, and nothing was written.
     """
 
-    output: Annotated[Path, arg(metavar="FILE")]
+    output: Annotated[Path, arg(metavar="FILE"), OutputFile(".safetensors")]
     """map to write (.safetensors)"""
     hand: HandName = "allegro_right"
-    hands: Annotated[tuple[str, ...], arg(metavar="NAME")] = ()
-    """hands whose maps --universal trains in turn, into the folder --output; existing files are kept"""
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
     """recording of a human hand (default: five minutes of synthetic play)"""
     method: Annotated[str, arg(metavar="NAME")] = "geort"
@@ -65,14 +60,10 @@ class Train(Command):
     """train a map for every person, on synthetic people, instead of --method"""
     start: Annotated[Path | None, arg(metavar="MAP")] = None
     """universal map of the hand from which --universal starts"""
-    fk: Literal["neural", "exact"] | None = None
-    """forward kinematics in the training of geort (default: neural, as in the paper)"""
     seed: Seed = 0
     """seed of robot samples, synthetic play, training and metrics"""
     device: Literal["cpu", "cuda"] = "cpu"
     """where to train"""
-    steps: Annotated[int | None, arg(metavar="N")] = None
-    """number of training steps (default: the method's)"""
     set: UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME=VALUE")]] = ()
     """change a setting of the method; repeatable; an unknown NAME lists all settings"""
     json: Json = None
@@ -86,11 +77,6 @@ class Train(Command):
         from geort_drake.console import print_table, progress_bar, warn
         from geort_drake.retargeting.train import training_recording
 
-        if self.hands:
-            require(self.universal, "--hands", "given with --universal", " ".join(self.hands))
-            require_output_folder(self.output)
-        else:
-            require_output_file(self.output, ".safetensors")
         if self.universal:
             return self._train_universal()
         hand, settings = Hand(self.hand), self._settings()
@@ -129,7 +115,7 @@ class Train(Command):
 
     def _train_universal(self) -> int:
         from geort_drake import load_retargeter
-        from geort_drake.console import print_table, say
+        from geort_drake.console import print_table
         from geort_drake.errors import GeortError
         from geort_drake.people.synthetic.population import sample_population
         from geort_drake.retargeting.universal.losses import UniversalSettings
@@ -139,42 +125,26 @@ class Train(Command):
         if self.recording is not None:
             raise GeortError("--universal trains on synthetic people; --recording has no effect with it")
         changes = parse_settings(list(self.set), UniversalSettings(), "the universal map")
-        if self.steps is not None:
-            changes["steps"] = self.steps
         settings = dataclasses.replace(UniversalSettings(), **changes)
         settings.validate()
         start = None if self.start is None else load_retargeter(self.start)
         if not isinstance(start, UniversalRetargeter | None):
             raise GeortError(f"--start: {self.start} is no universal map")
-        outputs = {self.hand: self.output}
-        if self.hands:
-            self.output.mkdir(parents=True, exist_ok=True)
-            outputs = {name: self.output / f"{Path(name).stem}.safetensors" for name in self.hands}
-        unfinished = {name: path for name, path in outputs.items() if not (self.hands and path.is_file())}
-        for name in outputs.keys() - unfinished.keys():
-            say(f"{outputs[name]} exists")
-        p_HK = sample_population(settings.people, self.seed, settings.play_s) if unfinished else None
-        figures: dict[str, dict[str, float]] = {}
-        written: dict[str, Path] = {}
-        for name, path in unfinished.items():
-            figures[name], paths = self._train_map(name, path, settings, p_HK, start)
-            written |= paths
-            rows = [(figure.replace("_", " "), f"{value:.4f}") for figure, value in figures[name].items()]
-            print_table(("figure of the training", "value"), rows, f"{name}, seed {self.seed}")
-        write_json(self.json, figures if self.hands else figures[self.hand])
-        following = try_out(self.output, self.hand, None) if not self.hands else None
-        finish(written, following)
+        p_HK = sample_population(settings.people, self.seed, settings.play_s)
+        figures, written = self._train_map(settings, p_HK, start)
+        rows = [(figure.replace("_", " "), f"{value:.4f}") for figure, value in figures.items()]
+        print_table(("figure of the training", "value"), rows, f"{self.hand}, seed {self.seed}")
+        write_json(self.json, figures)
+        finish(written, try_out(self.output, self.hand, None))
         return 0
 
     def _train_map(
         self,
-        name: str,
-        output: Path,
         settings: "UniversalSettings",
-        p_HK: "np.ndarray | None",
+        p_HK: "np.ndarray",
         start: "UniversalRetargeter | None",
     ) -> tuple[dict[str, float], dict[str, Path]]:
-        """Trains the map of one hand; returns the training's figures, and the files with what they contain.
+        """Trains the hand's map; returns the training's figures, and the files with what they contain.
 
         A map that starts from none is trained twice, see `UniversalSettings.refined`.
         """
@@ -184,7 +154,7 @@ class Train(Command):
         from geort_drake.retargeting.base import kinematics_of
         from geort_drake.retargeting.universal.train import train_universal
 
-        hand = Hand(name)
+        hand, output = Hand(self.hand), self.output
         kinematics, shapes = kinematics_of(hand), canonical_shapes(hand)
 
         def train(
@@ -213,13 +183,11 @@ class Train(Command):
         return retargeter.info["figures"], written
 
     def _settings(self) -> dict[str, Any]:
-        """Returns the method's settings from --set, --steps and --fk; later ones take precedence."""
+        """Returns the method's settings from --set; later ones take precedence."""
         from geort_drake.retargeting.train import training_config
         from geort_drake.settings import parse_settings
 
-        config = training_config(self.method)
-        settings = parse_settings(list(self.set), config, self.method)
-        settings |= {name: value for name in ("steps", "fk") if (value := getattr(self, name)) is not None}
+        settings = parse_settings(list(self.set), training_config(self.method), self.method)
         training_config(self.method, settings)  # refuses values before the recording is read
         return settings
 
