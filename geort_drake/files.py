@@ -7,6 +7,7 @@ import hashlib
 import math
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -41,16 +42,18 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
 
     On an exception nothing is left behind and an earlier `target` stays. If the process is killed or the
     machine fails, `target` is complete, either old or new; a hidden temporary file may remain. A symbolic
-    link stays, and the file to which it points is replaced. What is no regular file, such as a device or a
-    pipe with a reader, is written to.
+    link stays, and the file to which it points is replaced; the new file has the permissions of the old one.
+    What is no regular file, such as a device or a pipe with a reader, is written to.
 
     Raises:
-        OutputError: the disk is full, the location is not writable, or `target` is a folder.
+        OutputError: the disk is full, the location is not writable, or `target` is a folder or is
+            write-protected.
     """
     original = Path(target)
     with writing(original):
         if original.is_dir():
             raise OutputError(f"{original}: is a directory, not a file")
+        _require_permission(original)
         special = original.exists() and not original.is_file()
         # Opened at once, so that a pipe without a reader is refused before the work.
         stream = open(os.open(original, os.O_WRONLY | os.O_NONBLOCK), "wb") if special else None
@@ -75,7 +78,7 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
                     shutil.copyfileobj(contents, stream)
                 draft.unlink()
             else:
-                draft.chmod(0o666 & ~_umask())
+                draft.chmod(_permissions(target, 0o666))
                 _to_disk(draft)
                 os.replace(draft, target)
         except BaseException:
@@ -87,7 +90,8 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
 def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
     """Yields a temporary directory, which replaces `target` on success; on an exception, `target` stays.
 
-    A symbolic link stays, and the directory to which it points is replaced.
+    A symbolic link stays, and the directory to which it points is replaced; the new directory has the
+    permissions of the old one.
 
     Raises:
         OutputError: the disk is full, the location is not writable, or `target` is no directory.
@@ -101,7 +105,7 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
         old = draft.with_name(f"{draft.name}-old")
         try:
             yield draft
-            draft.chmod(0o777 & ~_umask())
+            draft.chmod(_permissions(target, 0o777))
             for path in draft.rglob("*"):
                 if path.is_file():
                     _to_disk(path)
@@ -168,13 +172,16 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
         target: a file, or with `directory` a folder that may exist already.
 
     Raises:
-        OutputError: the nearest existing parent is not a folder or not writable.
+        OutputError: the nearest existing parent is not a folder or not writable, or a file is
+            write-protected.
     """
     original = Path(target)
     # Messages name the path as it was given.
     target = Path(os.path.realpath(original)) if original.is_symlink() else original
     if not directory and target.is_dir():
         raise OutputError(f"{original}: is a directory, not a file")
+    if not directory:
+        _require_permission(original)
     if not directory and target.exists() and not (target.is_file() or target.is_dir()):
         if not os.access(target, os.W_OK):
             raise OutputError(f"{original}: cannot be written to")
@@ -184,6 +191,17 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         where = "" if nearest == original else f"{nearest} "
         raise OutputError(f"{original}: {where}is not a directory that can be written to")
+
+
+def _require_permission(path: Path) -> None:
+    """Refuses a file that somebody has write-protected, although its folder would let it be replaced."""
+    if path.is_file() and not stat.S_IMODE(path.stat().st_mode) & 0o222:
+        raise OutputError(f"{path}: is write-protected")
+
+
+def _permissions(target: Path, default: int) -> int:
+    """Returns the permissions of an existing file or folder, else the default less the umask."""
+    return stat.S_IMODE(target.stat().st_mode) if target.exists() else default & ~_umask()
 
 
 def is_replaceable(target: str | os.PathLike, mark: str) -> bool:

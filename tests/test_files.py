@@ -60,6 +60,31 @@ def test_a_device_is_written_to():
         assert file.read() == "text"
 
 
+def test_permissions_stay(tmp_path):
+    """A recording that only its owner may read stays so when it is written again, and a folder, too."""
+    file, folder = tmp_path / "private.npz", tmp_path / "private"
+    file.touch(mode=0o600)
+    folder.mkdir(mode=0o700)
+    synthesize_play(0, duration_s=1.0).save(file)
+    with atomic_directory(folder) as draft:
+        (draft / "new").touch()
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (file, folder)] == [0o600, 0o700]
+    assert (folder / "new").exists()
+
+
+@pytest.mark.parametrize("write", [lambda p: write_text(p, "x"), require_writable])
+def test_a_write_protected_file_is_not_replaced(tmp_path, write):
+    """Not even by root, whom the system does not stop, nor through a link."""
+    path, link = tmp_path / "kept.txt", tmp_path / "link.txt"
+    path.write_text("kept")
+    path.chmod(0o444)
+    link.symlink_to(path)
+    for target in (path, link):
+        with pytest.raises(OutputError, match=f"{target.name}: is write-protected"):
+            write(target)
+    assert path.read_text() == "kept"
+
+
 @pytest.mark.parametrize("write", [lambda p: write_text(p, "x"), require_writable])
 def test_a_folder_is_not_a_file(tmp_path, write):
     with pytest.raises(OutputError, match="is a directory, not a file"):
