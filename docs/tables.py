@@ -17,6 +17,8 @@ import tokenize
 from pathlib import Path
 from unittest import mock
 
+import geort_drake
+
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "geort_drake"
 
@@ -82,6 +84,42 @@ def docstring(name: str) -> str:
     tree = ast.parse((PACKAGE / f"{path.replace('.', '/')}.py").read_text("utf-8"))
     (node,) = (item for item in tree.body if isinstance(item, ast.FunctionDef) and item.name == function)
     return ast.get_docstring(node) or ""
+
+
+def api_table(names: str) -> str:
+    """A Markdown table of public names and the first sentences of their docstrings, with links to the source.
+
+    On the site, the docstrings themselves stand in its place. Of a module, the table has the public contents.
+
+    Args:
+        names: dotted names, separated by spaces.
+    """
+    table = ["| name | what it is |", "|---|---|"]
+    for name in names.split():
+        path, nodes = _definitions(name)
+        for node in nodes:
+            text = " ".join((ast.get_docstring(node) or "").partition("\n\n")[0].split())
+            link = f"[`{node.name}`](../../../{path.relative_to(ROOT)})"
+            table.append(f"| {link} | {text.replace('|', chr(92) + '|')} |")
+    return "\n".join(table)
+
+
+def _definitions(name: str) -> tuple[Path, list[ast.ClassDef | ast.FunctionDef]]:
+    """The file of a dotted name, and its definition there; those of all public contents for a module."""
+    place, _, last = name.rpartition(".")
+    if place == "geort_drake" and last in geort_drake._MODULES:
+        place = f"geort_drake.{geort_drake._MODULES[last]}"
+    module, path = (ROOT / f"{part.replace('.', '/')}.py" for part in (name, place))
+    path = module if module.is_file() else path if path.is_file() else path.with_suffix("") / "__init__.py"
+    body = ast.parse(path.read_text("utf-8")).body
+    defined = [node for node in body if isinstance(node, ast.ClassDef | ast.FunctionDef)]
+    if path == module:
+        return path, [node for node in defined if not node.name.startswith("_")]
+    if found := [node for node in defined if node.name == last]:
+        return path, found
+    imports = (node for node in body if isinstance(node, ast.ImportFrom))
+    (source,) = (node.module for node in imports if last in [alias.name for alias in node.names])
+    return _definitions(f"{source}.{last}")
 
 
 def sources(name: str) -> str:
