@@ -5,12 +5,20 @@ import dataclasses
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from system_bench import SystemBench, joint_plant
 
-from geort_drake import GloveReplay, Recording, RetargetingSystem, synthesize_play
+from geort_drake import (
+    GloveReplay,
+    Recording,
+    RetargetingSystem,
+    add_hand_model,
+    load_retargeter,
+    synthesize_play,
+)
 from geort_drake.errors import FrameError, GeortError, HandError, RecordingError
 from geort_drake.simulation.task import PERIOD, Outcome
 from geort_drake.simulation.tasks.grasp import GraspPhase, GraspSettings, judgement
@@ -202,6 +210,18 @@ def test_models_that_commands_cannot_respect_are_refused_by_joint():
     for other in (None, "hand", ModelInstanceIndex(99)):
         with pytest.raises(HandError, match="must be a model instance of the plant"):
             RetargetingSystem(first_three, plant, other, joint_names=JOINTS)
+
+
+def test_a_map_of_another_hand_whose_joints_have_the_same_names_is_refused():
+    """Allegro and LEAP both have joint_0 to joint_15; limits that are given are the caller's word."""
+    retarget = load_retargeter("allegro_right")
+    plant = MultibodyPlant(0.0)
+    allegro, leap = (add_hand_model(plant, name) for name in ("allegro_right", "leap_right"))
+    plant.Finalize()
+    with pytest.raises(HandError, match=r"'joint_13' moves .* for allegro_right, and from -0\.470 to 2\.443"):
+        RetargetingSystem(retarget, plant, leap)
+    RetargetingSystem(retarget, plant, leap, limits=JointLimits.of_plant(plant, leap))
+    RetargetingSystem(retarget, plant, allegro)
 
 
 def test_limits_and_start_come_from_the_plant_and_an_unconnected_valid_port_counts_as_tracked():

@@ -40,6 +40,7 @@ from geort_drake.systems.retargeting_status import (
 )
 
 _ROUNDING = 1e-9  # s; of sums of periods
+_SAME_LIMITS = 0.05  # rad; files of one hand round its limits differently
 _DISTANCE_PERIOD = 0.1  # s, between two computations of the distance from training
 # m; a fingertip farther than this from its training data is reported. New motions of the same person stay
 # within 0.01 m; another person's hand is 0.03 to 0.05 m away.
@@ -91,15 +92,17 @@ class RetargetingSystem(PythonSystem):
             default positions.
         period: time between updates, s, from 1e-5 to 10; raised to `latency` if that is longer.
         limits: limits of the targets, in actuator order; by default those of the model, with a speed of at
-            most 7 rad/s.
+            most 7 rad/s. Without them, a retargeter that knows its hand's limits must have the model's, as
+            hands of different makes have joints of the same names.
         latency: time from keypoints to their joint targets, s, at most 10.
         ease_at_start: whether the start counts as the end of a long hold; otherwise the first keypoints are
             followed at once.
         cutoff: cutoff frequency of a first-order low-pass on the targets, Hz; 0 for none.
 
     Raises:
-        HandError: the retargeter's joints are unknown or are not those that the model actuates, or an initial
-            position is outside of the limits; while it runs, `retarget` returned another shape.
+        HandError: the retargeter's joints are unknown or are not those that the model actuates, or have other
+            limits; or an initial position is outside of the limits; while it runs, `retarget` returned
+            another shape.
         ValueError: the period, latency or cutoff is out of range.
     """
 
@@ -134,6 +137,8 @@ class RetargetingSystem(PythonSystem):
         for_person = getattr(retarget, "for_person", None)
         self._person_map = None if for_person is None else PersonMap(for_person)
         self._limits = limits or JointLimits.of_plant(plant, model, DEFAULT_SPEED)
+        if limits is None:
+            self._check_ranges(retarget)
         if initial_positions is None:
             initial_positions = {joint.name(): float(joint.default_positions()[0]) for joint in joints}
         q0 = self._limits.start(initial_positions, self.joint_names)
@@ -204,6 +209,24 @@ class RetargetingSystem(PythonSystem):
             raise GeortError("the map of a hand that is being followed cannot change: disengage it first")
         person = context.get_mutable_discrete_state(self._person).get_mutable_value()
         person.view(PERSON_FIELDS)[0]["count"] = 0
+
+    def _check_ranges(self, retarget: Any) -> None:
+        """Raises HandError if the retargeter's joints have other limits than the model's."""
+        lower, upper = getattr(retarget, "lower", None), getattr(retarget, "upper", None)
+        if lower is None or upper is None:
+            return
+        made_for = np.stack([lower, upper], axis=1)[self._to_plant]
+        here = np.stack([self._limits.lower, self._limits.upper], axis=1)
+        differences = np.abs(made_for - here).max(axis=1)
+        if differences.max() > _SAME_LIMITS:
+            worst = int(differences.argmax())
+            (low, high), (model_low, model_high) = made_for[worst], here[worst]
+            hands = ", ".join(getattr(retarget, "robot_hands", ())) or "its hand"
+            raise HandError(
+                f"joint '{self.joint_names[worst]}' moves from {low:.3f} to {high:.3f} rad in the retargeter, "
+                f"which is for {hands}, and from {model_low:.3f} to {model_high:.3f} rad in the plant. If it "
+                "is the same hand, give `limits`"
+            )
 
     def _declare_record(self, start: np.void) -> Any:
         """Declares a record of floats as a group of the discrete state; returns the group's index."""
