@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import itertools
 import json
 import os
 import random
@@ -9,6 +10,7 @@ import signal
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -358,6 +360,28 @@ def program(folder: Path, name: str, *arguments: str, stdin: int = subprocess.DE
         finally:
             process.kill()
             process.communicate()
+
+
+def test_a_command_that_starts_again_gets_no_state_from_before(tmp_path):
+    """While it was away, somebody may have moved the robot."""
+    endpoint = f"ipc://{tmp_path}/robot"
+
+    def report(sequence: int) -> None:
+        driver.send(dataclasses.replace(STATE, sequence=sequence))
+
+    with contextlib.closing(joint_messages.open_driver_bus(endpoint)) as driver:
+        for start in (1, 1000):
+            for sequence in range(start, start + 50):  # to nobody
+                report(sequence)
+                time.sleep(0.001)
+            numbers = itertools.count(start + 100)
+            with contextlib.closing(joint_messages.open_zmq_bus(endpoint)) as live:
+                states = wait_for(
+                    lambda live=live, numbers=numbers: report(next(numbers)) or live.fetch() or None,
+                    PATIENCE_S,
+                    lambda: "nothing came",
+                )
+                assert states[0].sequence >= start + 100
 
 
 @pytest.mark.parametrize("carrier", ["zmq", "lcm"])

@@ -189,6 +189,8 @@ class ZmqSender(_ZmqSocket):
 
     def __init__(self, pattern: str, endpoint: str, binds: bool = True):
         super().__init__(pattern)
+        # Without it, a queue keeps the oldest messages for a receiver that starts much later.
+        self._socket.setsockopt(self._zmq.IMMEDIATE, 1)
         self._open(endpoint, binds)
 
     @property
