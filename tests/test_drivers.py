@@ -138,7 +138,7 @@ class DynamixelBus:
     """Has the classes of dynamixel-sdk that the driver uses; 16 servos with a control table each."""
 
     def __init__(self):
-        bus = self
+        bus, self.reads, self.lost = self, 0, ()
         self.tables = [bytearray(256) for _ in range(16)]
         for table in self.tables:
             table[132:136] = (2048).to_bytes(4, "little")
@@ -178,7 +178,8 @@ class DynamixelBus:
                 self.motors.append(motor)
 
             def txRxPacket(self):
-                return 0
+                bus.reads += 1
+                return -3001 if bus.reads in bus.lost else 0
 
             def getData(self, motor, address, size):
                 return int.from_bytes(bus.tables[motor][address : address + size], "little")
@@ -196,8 +197,12 @@ class DynamixelBus:
 
 
 def test_the_leap_driver_commands_the_motors_of_the_models_joints(tmp_path, monkeypatch):
-    """In ticks about 180°, in current-based position mode with a limit; the motors end without torque."""
+    """In ticks about 180°, in current-based position mode with a limit; the motors end without torque.
+
+    An answer that is lost on the bus stops nothing.
+    """
     bus = DynamixelBus()
+    bus.lost = {4, 5, 9}
     monkeypatch.setitem(sys.modules, "dynamixel_sdk", bus.module)
     names, goal = [f"joint_{i}" for i in range(16)], np.linspace(-0.2, 0.9, 16)
     session = Session(tmp_path, monkeypatch, names, goal)
@@ -206,6 +211,25 @@ def test_the_leap_driver_commands_the_motors_of_the_models_joints(tmp_path, monk
     np.testing.assert_allclose(ticks, 2048 + goal * 2048 / np.pi, atol=8)
     for table in bus.tables:
         assert (table[11], table[64], int.from_bytes(table[102:104], "little")) == (5, 0, 300)
+
+
+def test_the_leap_driver_leaves_the_motors_limp_when_it_fails(tmp_path, monkeypatch):
+    bus = DynamixelBus()
+    monkeypatch.setitem(sys.modules, "dynamixel_sdk", bus.module)
+    session = Session(tmp_path, monkeypatch, [f"joint_{i}" for i in range(16)], np.zeros(16))
+
+    step, end = driver_module.JointDriver.step, threading.Event()
+
+    def fail(driver, position, fault=""):
+        if session.states:
+            end.set()
+            raise OSError("the cable is unplugged")
+        return step(driver, position, fault)
+
+    monkeypatch.setattr(driver_module.JointDriver, "step", fail)
+    with pytest.raises(OSError, match="unplugged"):
+        session.run(load("leap"), "--port", "/dev/ttyUSB0", until=lambda state: end.is_set())
+    assert [table[64] for table in bus.tables] == [0] * 16
 
 
 def test_the_leap_drivers_limits_are_the_models(monkeypatch):
@@ -237,11 +261,12 @@ def test_the_orca_driver_moves_the_vendors_simulated_motors(tmp_path, monkeypatc
 class Ros:
     """Has what the node uses of rclpy and sensor_msgs; a controller that follows at once.
 
-    After the first state, which has all joints in order, each has a part of them, in reverse order.
+    After the first state, which has all joints, each has a part of them; joints are in reverse order.
     """
 
     def __init__(self, names, topics):
         ros, self.q, self.published, self.states = self, [0.0] * len(names), [], 0
+        self.names, self.silent = names, False
 
         class JointState:
             def __init__(self):
@@ -265,10 +290,12 @@ class Ros:
                 pass
 
         def spin_once(node, timeout_sec):
+            if ros.silent:
+                return
             state = JointState()
-            joints = list(zip(names, ros.q, strict=True))
+            joints = list(zip(names, ros.q, strict=True))[::-1]
             if ros.states:
-                joints = joints[ros.states % 2 :: 2][::-1]
+                joints = joints[ros.states % 2 :: 2]
             ros.states += 1
             state.name, state.position = [name for name, _ in joints], [q for _, q in joints]
             ros.callback(state)
@@ -285,24 +312,42 @@ class Ros:
 
     def receive(self, message) -> None:
         self.published.append(message)
-        self.q = list(message.position)
+        wanted = dict(zip(message.name, message.position, strict=True))
+        self.q = [wanted[name] for name in self.names]
 
 
-@pytest.mark.parametrize("name", ["ros2_node", "allegro"])
-def test_the_ros_nodes_publish_joint_states(tmp_path, monkeypatch, name):
-    """The Allegro's with the names of Wonik's controller, in the model's order."""
+def ros_session(tmp_path, monkeypatch, name) -> tuple[Ros, Session]:
+    """The Allegro's controller has the names of Wonik's."""
     if name == "allegro":
         topics = "/allegroHand_0/joint_cmd", "/allegroHand_0/joint_states"
         names, theirs = [f"joint_{i}" for i in range(16)], [f"joint_{i}.0" for i in range(16)]
     else:
         topics = "/hand/joint_targets", "/hand/joint_states"
-        names = theirs = ["a", "b", "c"]
+        names, theirs = ["c", "b", "a"], ["a", "b", "c"]
     ros = Ros(theirs, topics)
     for module, value in ros.modules.items():
         monkeypatch.setitem(sys.modules, module, value)
     monkeypatch.delitem(sys.modules, "ros2_node", raising=False)
-    goal = np.linspace(-0.3, 0.4, len(names))
-    session = Session(tmp_path, monkeypatch, names, goal)
+    return ros, Session(tmp_path, monkeypatch, names, np.linspace(-0.3, 0.4, len(names)))
+
+
+@pytest.mark.parametrize("name", ["ros2_node", "allegro"])
+def test_the_ros_nodes_publish_joint_states_by_name(tmp_path, monkeypatch, name):
+    """In whatever order the controller reports the joints."""
+    ros, session = ros_session(tmp_path, monkeypatch, name)
     session.run(load(name))
-    assert ros.published[-1].name == theirs and ros.published[-1].header.stamp == "a stamp"
+    goal = session.goal if name == "allegro" else session.goal[::-1]
     np.testing.assert_allclose(ros.q, goal, atol=0.02)
+    assert ros.published[-1].header.stamp == "a stamp"
+
+
+def test_a_ros_controller_that_falls_silent_is_a_fault(tmp_path, monkeypatch):
+    """The node holds, and what it reports is no longer taken for the robot's position."""
+    ros, session = ros_session(tmp_path, monkeypatch, "ros2_node")
+
+    def silenced(state) -> bool:
+        ros.silent = ros.silent or bool(state.position.max() > 0.2)
+        return "no state of" in state.fault
+
+    session.run(load("ros2_node"), until=silenced)
+    assert session.driver.holding

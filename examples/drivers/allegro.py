@@ -3,9 +3,8 @@
     ros2 launch allegro_hand_controllers allegro_hand.launch.py HAND:=right
     python allegro.py
 
-The controller calls the model's joint_0 to joint_15 joint_0.0 to joint_15.0, in the same order and with the
-same signs, for a right and for a left hand. Its own gains hold. Drake's driver over LCM needs none of this:
-`--robot lcm`.
+The controller calls the model's joint_0 to joint_15 joint_0.0 to joint_15.0, with the same signs, for a
+right and for a left hand. Its own gains hold. Drake's driver over LCM needs none of this: `--robot lcm`.
 """
 
 import argparse
@@ -22,7 +21,7 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=FIRST_SPEED, help="fraction of 5 rad/s")
     options = parser.parse_args()
     topics = [f"/{options.hand}/{name}" for name in ("joint_cmd", "joint_states")]
-    names = [f"joint_{number}" for number in range(16)]
+    names = {f"joint_{number}": f"joint_{number}.0" for number in range(16)}
     run(*topics, options.endpoint, options.speed * SPEED, names)
 
 

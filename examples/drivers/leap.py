@@ -3,11 +3,10 @@
     pip install dynamixel-sdk pyzmq && python leap.py --port /dev/ttyUSB0
 
 Motors run in current-based position mode, so that a blocked finger pushes no harder than `--current`. The
-model's joint_5 is motor 5, and its zero is the motor's 180°. Ctrl-C leaves the motors limp.
+model's joint_5 is motor 5, and its zero is the motor's 180°. When the driver ends, the motors are limp.
 """
 
 import argparse
-import math
 
 import numpy as np
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
@@ -45,18 +44,18 @@ class Leap:
         for motor, value in enumerate(np.broadcast_to(values, 16)):
             group.addParam(motor, int(value).to_bytes(register[1], "little"))
         if group.txPacket() != 0:
-            raise SystemExit("the motors do not answer")
+            raise SystemExit("the motors cannot be reached")
 
     def move(self, q: np.ndarray) -> None:
         """Commands joint positions (16,), rad."""
-        self.write(GOAL, np.round((q + math.pi) * TICKS / (2.0 * math.pi)))
+        self.write(GOAL, np.round((q + np.pi) * TICKS / (2.0 * np.pi)))
 
     def read(self) -> np.ndarray:
-        """Returns the joint positions (16,), rad."""
+        """Returns the joint positions (16,), rad; NaN if an answer was lost."""
         if self.reader.txRxPacket() != 0:
-            raise SystemExit("the motors do not answer")
+            return np.full(16, np.nan)
         ticks = np.array([self.reader.getData(motor, *PRESENT) for motor in range(16)], np.uint32)
-        return ticks.view(np.int32) * (2.0 * math.pi / TICKS) - math.pi
+        return ticks.view(np.int32) * (2.0 * np.pi / TICKS) - np.pi
 
 
 def main() -> None:
@@ -67,13 +66,14 @@ def main() -> None:
     parser.add_argument("--endpoint", default="tcp://127.0.0.1:5557")
     options = parser.parse_args()
     hand = Leap(options.port, options.current)
-    q = hand.read()
-    hand.move(q)
-    hand.write(TORQUE, 1)
-    with JointDriver(options.endpoint, NAMES, q, LOWER, UPPER, options.speed * SPEED) as driver:
-        while driver.running:
-            hand.move(driver.step(hand.read()))
-    hand.write(TORQUE, 0)
+    try:
+        with JointDriver(options.endpoint, NAMES, hand.read(), LOWER, UPPER, options.speed * SPEED) as driver:
+            hand.move(driver.step(hand.read()))  # where they stand
+            hand.write(TORQUE, 1)
+            while driver.running:
+                hand.move(driver.step(hand.read()))
+    finally:
+        hand.write(TORQUE, 0)
 
 
 if __name__ == "__main__":

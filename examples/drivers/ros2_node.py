@@ -3,12 +3,13 @@
     source /opt/ros/humble/setup.bash
     python ros2_node.py --targets /hand/joint_targets --states /hand/joint_states
 
-Run `geort-drake live --robot zmq+tcp://127.0.0.1:5557` beside it. The node begins when the first states have
-come. It limits the speed; limits of position are the controller's. When targets stop, it goes on publishing
-the last ones.
+Run `geort-drake live --robot zmq+tcp://127.0.0.1:5557` beside it. The node begins when all joints have been
+reported. It limits the speed; limits of position are the controller's. When targets stop, it goes on
+publishing the last ones; when states stop, it holds and reports a fault.
 """
 
 import argparse
+import time
 
 import numpy as np
 import rclpy
@@ -17,37 +18,44 @@ from sensor_msgs.msg import JointState
 from geort_drake.live.driver import FIRST_SPEED, JointDriver
 
 SPEED = 5.0  # rad/s
+SILENCE = 0.5  # s without a joint's state that is a fault
 
 
-def run(targets: str, states: str, endpoint: str, speed: float, names: list[str] | None = None) -> None:
+def run(targets: str, states: str, endpoint: str, speed: float, names: dict[str, str] | None = None) -> None:
     """Runs the node.
 
     Args:
         targets, states: topics.
         endpoint: ZeroMQ endpoint of `geort-drake live`.
         speed: speed limit, rad/s.
-        names: the model's names of the joints in the order of the first state, which contains all of them;
-            None for the names there.
+        names: joint of the model → its name in the topics; None for the names in the first state.
     """
     rclpy.init()
     node = rclpy.create_node("geort_drake")
-    positions: dict[str, float] = {}  # joint → rad; a message may have any order, and a part of the joints
-    node.create_subscription(
-        JointState, states, lambda state: positions.update(zip(state.name, state.position, strict=True)), 1
-    )
+    # Topic's joint → rad, and when it came; a message may have any order, and a part of the joints.
+    measured: dict[str, tuple[float, float]] = {}
+
+    def receive(state: JointState) -> None:
+        for name, position in zip(state.name, state.position, strict=True):
+            measured[name] = position, time.monotonic()
+
+    node.create_subscription(JointState, states, receive, 1)
     publisher = node.create_publisher(JointState, targets, 1)
-    while rclpy.ok() and not positions:
+    while rclpy.ok() and not (measured and measured.keys() >= {*(names or {}).values()}):
         rclpy.spin_once(node, timeout_sec=0.1)
-    topic_names, q = list(positions), np.array(list(positions.values()))
+    names = names or {name: name for name in measured}
+    q = np.array([measured[name][0] for name in names.values()])
     unlimited = np.full(len(q), np.inf)
-    with JointDriver(endpoint, names or topic_names, q, -unlimited, unlimited, speed) as driver:
+    with JointDriver(endpoint, list(names), q, -unlimited, unlimited, speed) as driver:
         while driver.running and rclpy.ok():
             rclpy.spin_once(node, timeout_sec=0.0)
+            q = np.array([measured[name][0] for name in names.values()])
+            oldest = min(names, key=lambda joint: measured[names[joint]][1])
+            silent = time.monotonic() - measured[names[oldest]][1] > SILENCE
             message = JointState()
             message.header.stamp = node.get_clock().now().to_msg()
-            message.name = topic_names
-            q = np.array([positions[name] for name in topic_names])
-            message.position = driver.step(q).tolist()
+            message.name = list(names.values())
+            message.position = driver.step(q, f"no state of {oldest} comes" if silent else "").tolist()
             publisher.publish(message)
     node.destroy_node()
     rclpy.try_shutdown()
