@@ -223,9 +223,9 @@ class RetargetingSystem(PythonSystem):
             (low, high), (model_low, model_high) = made_for[worst], here[worst]
             hands = ", ".join(getattr(retarget, "robot_hands", ())) or "its hand"
             raise HandError(
-                f"joint '{self.joint_names[worst]}' moves from {low:.3f} to {high:.3f} rad in the retargeter, "
-                f"which is for {hands}, and from {model_low:.3f} to {model_high:.3f} rad in the plant. If it "
-                "is the same hand, give `limits`"
+                f"joint '{self.joint_names[worst]}' moves from {low:.3f} to {high:.3f} rad in the retargeter "
+                f"for {hands}, and from {model_low:.3f} to {model_high:.3f} rad in the plant. If it is "
+                "the same hand, give `limits`"
             )
 
     def _declare_record(self, start: np.void) -> Any:
