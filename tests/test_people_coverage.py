@@ -12,7 +12,7 @@ from shared import shared
 from geort_drake import Recording
 from geort_drake.cli import run_command
 from geort_drake.people.checks import examine
-from geort_drake.people.coverage import PINCHES, coverage, finger_motions, pinch_distances, pinches
+from geort_drake.people.coverage import PINCHES, coverage, described, finger_motions, pinch_distances, pinches
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
 from geort_drake.people.synthetic import protocol
 from geort_drake.people.synthetic.hand import HumanHand
@@ -43,7 +43,7 @@ def test_the_demonstration_covers_every_required_motion(shown):
     assert recording.duration_s == pytest.approx(DURATION_S, abs=0.1)
     assert DURATION_S == 300
     assert list(dict.fromkeys(steps)) == [step.name for step in STEPS]
-    assert [str(motion) for motion in coverage(recording) if not motion.enough] == []
+    assert [described(motion) for motion in coverage(recording) if not motion["enough"]] == []
     assert examine(recording).metadata["warnings"] == []
     distance = np.stack(list(pinch_distances(recording).values()))
     assert 0.2 < (distance.min(axis=0) < 0.015).mean() < 0.35
@@ -54,13 +54,13 @@ def test_the_demonstration_covers_every_required_motion(shown):
 def test_each_step_contains_its_motion(shown, finger):
     """Alone, every motion of the finger is enough; without their step, pinches are what lacks."""
     alone = coverage(during(shown, f"{finger} alone", f"thumb to {finger}"))
-    ranges = [motion for motion in alone if motion.unit == "°"]
-    assert all(motion.enough for motion in ranges if motion.name.startswith(f"{finger} "))
+    ranges = [motion for motion in alone if motion["unit"] == "°"]
+    assert all(motion["enough"] for motion in ranges if motion["motion"].startswith(f"{finger} "))
     if finger != "thumb":
         name = f"thumb pinches {finger}"
-        assert next(motion for motion in alone if motion.name == name).enough
+        assert next(motion for motion in alone if motion["motion"] == name)["enough"]
         rest = coverage(during(shown, *(step.name for step in STEPS if step.name != f"thumb to {finger}")))
-        assert [motion.name for motion in rest if not motion.enough] in ([], [name])
+        assert [motion["motion"] for motion in rest if not motion["enough"]] in ([], [name])
 
 
 @pytest.mark.slow
@@ -70,15 +70,15 @@ def test_missing_motions_are_reported(shown):
     free = np.array([name != "ring_mcp_abduction" for name in hand.joint_names])
     lower, upper = free * hand.lower, free * hand.upper
     still, _ = demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)
-    (motion,) = [m for m in coverage(still) if not m.enough]
-    assert re.fullmatch("ring moves sideways: [01] °, required 7", str(motion))
-    assert motion.advice == "spread the fingers and close them"
+    (motion,) = [m for m in coverage(still) if not m["enough"]]
+    assert re.fullmatch("ring moves sideways: [01] °, required 7", described(motion))
+    assert motion["advice"] == "spread the fingers and close them"
     recording, _ = shown
     p_HK = recording.p_HK.copy()
     away = pinch_distances(recording)["ring"] < 0.03
     p_HK[np.ix_(away, FINGER_KEYPOINTS["ring"])] += [0.0, -0.06, 0.0]
-    (motion,) = [m for m in coverage(replace(recording, p_HK=p_HK)) if m.name == "thumb pinches ring"]
-    assert str(motion) == f"thumb pinches ring: 0 times, required {PINCHES}" and not motion.enough
+    (motion,) = [m for m in coverage(replace(recording, p_HK=p_HK)) if m["motion"] == "thumb pinches ring"]
+    assert described(motion) == f"thumb pinches ring: 0 times, required {PINCHES}" and not motion["enough"]
 
 
 def test_a_trembling_pinch_counts_once():
@@ -112,7 +112,7 @@ def swept(joint: str, degrees: float) -> np.ndarray:
 
 
 def seen(p_HK, name: str) -> float:
-    return next(motion.seen for motion in finger_motions(p_HK) if motion.name == name)
+    return next(motion["seen"] for motion in finger_motions(p_HK) if motion["motion"] == name)
 
 
 def test_ranges_are_the_turns_of_the_joints():
@@ -131,11 +131,11 @@ def test_ranges_are_the_turns_of_the_joints():
 def test_only_the_trained_fingers_are_measured(play):
     """A still hand lacks every motion of them; other fingers do not matter; play lacks nothing."""
     still = finger_motions(swept("index_mcp_abduction", 0.0), (4, 8))
-    assert [motion.name for motion in still if not motion.enough] == [
+    assert [motion["motion"] for motion in still if not motion["enough"]] == [
         "thumb bends", "thumb sweeps across the palm", "thumb lifts off the palm",
         "index bends", "index moves sideways",
     ]  # fmt: skip
-    assert all(motion.enough for motion in finger_motions(play.p_HK))
+    assert all(motion["enough"] for motion in finger_motions(play.p_HK))
 
 
 @pytest.mark.slow

@@ -153,16 +153,16 @@ class CheckRecording(_Reading):
         motions = coverage(recording)
         rows = [
             (
-                f"[{'green' if motion.enough else 'red'}]{motion.name}[/]",
-                f"{int(motion.seen)} {motion.unit}",
-                f"{motion.required:.0f}",
-                "" if motion.enough else motion.advice,
+                f"[{'green' if motion['enough'] else 'red'}]{motion['motion']}[/]",
+                f"{int(motion['seen'])} {motion['unit']}",
+                f"{motion['required']:.0f}",
+                "" if motion["enough"] else motion["advice"],
             )
             for motion in motions
         ]
         headings = ("motion", "recorded", "required", "what to do")
         print_table(headings, rows, f"{recording.duration_s:.0f} s", text=headings[3:])
-        return all(motion.enough for motion in motions)
+        return all(motion["enough"] for motion in motions)
 
 
 @options
@@ -296,6 +296,7 @@ class ShowProtocol(Command):
 
 def _print_report(report: dict[str, Any]) -> None:
     from geort_drake.console import print_table, say, warn
+    from geort_drake.people.coverage import described
     from geort_drake.people.formats import FORMATS
 
     known_format = FORMATS.get(report["format"])
@@ -322,9 +323,7 @@ def _print_report(report: dict[str, Any]) -> None:
         warn(sentence)
     missing = [motion for motion in report["coverage"] if not motion["enough"]]
     for motion in missing:
-        # Rounded down, because 6.9 of 7 degrees are not enough.
-        seen = int(motion["seen"])
-        say("insufficient: {motion}: {0} {unit}, required {required:.0f}".format(seen, **motion))
+        say(f"insufficient: {described(motion)}")
     count = len(report["coverage"])
     say(f"coverage: {count - len(missing)} of {count} motions that training needs")
     say(f"verdict: {report['verdict']}" + ("" if report["fit_for_training"] else "; not fit for training"))

@@ -1,6 +1,5 @@
 """Measures how well a recording covers the motion that training needs: ranges, pinches, speeds."""
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -27,23 +26,19 @@ _RELEASE_M = 1.5 * PINCH_M  # a pinch ends at this distance; the hysteresis igno
 _RIDGE = 0.01  # of the ridge regression; the mean square of a bending bone's coordinate exceeds 0.1
 
 
-@dataclasses.dataclass(frozen=True)
-class Motion:
-    """A motion that training needs: name, recorded and required amounts, and how to make it."""
+# A motion that training needs, as JSON: `motion`, its name; the amounts `seen` and `required`, in `unit`:
+# "°" of range or "times"; whether that is `enough`; and `advice` on how to make it.
+Motion = dict[str, Any]
 
-    name: str
-    seen: float
-    required: float
-    unit: str  # "°" of range, or "times"
-    advice: str
 
-    @property
-    def enough(self) -> bool:
-        """Whether the recorded amount suffices."""
-        return self.seen >= self.required
+def _motion(name: str, seen: float, required: float, unit: str, advice: str) -> Motion:
+    amounts = {"seen": seen, "required": required, "unit": unit, "enough": seen >= required}
+    return {"motion": name, **amounts, "advice": advice}
 
-    def __str__(self) -> str:
-        return f"{self.name}: {self.seen:.0f} {self.unit}, required {self.required:.0f}"
+
+def described(motion: Motion) -> str:
+    """Returns the amounts of a motion in words, rounded down: 6.9 of 7 degrees are not enough."""
+    return "{motion}: {0} {unit}, required {required:.0f}".format(int(motion["seen"]), **motion)
 
 
 def coverage(recording: Recording) -> list[Motion]:
@@ -55,7 +50,7 @@ def coverage(recording: Recording) -> list[Motion]:
     motions = finger_motions(recording.p_HK[recording.valid])
     for finger, distance in pinch_distances(recording).items():
         advice = f"pinch thumb and {finger} at different places"
-        motions.append(Motion(f"thumb pinches {finger}", pinches(distance), PINCHES, "times", advice))
+        motions.append(_motion(f"thumb pinches {finger}", pinches(distance), PINCHES, "times", advice))
     return motions
 
 
@@ -97,7 +92,7 @@ def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOI
         motions_of = _THUMB_MOTIONS if thumb else _FINGER_MOTIONS
         for angle, (name, (least, advice)) in zip(angles, motions_of.items(), strict=True):
             seen = float(np.rad2deg(np.ptp(np.percentile(angle, (1, 99)))))
-            motions.append(Motion(f"{finger} {name}", seen, least, "°", advice))
+            motions.append(_motion(f"{finger} {name}", seen, least, "°", advice))
     return motions
 
 
@@ -178,9 +173,5 @@ def figures(recording: Recording) -> dict[str, Any]:
                 strict=True,
             )
         },
-        "coverage": [
-            {"motion": motion.name, "seen": motion.seen, "required": motion.required, "unit": motion.unit}
-            | {"enough": motion.enough}
-            for motion in coverage(recording)
-        ],
+        "coverage": coverage(recording),
     }
