@@ -14,7 +14,7 @@ from geort_drake.files import write_text
 from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import SIDES
 from geort_drake.resources import hand_names, models_dir
-from geort_drake.yaml_files import check_fields, fault_of
+from geort_drake.settings import check_fields, fault_of
 
 
 @dc.dataclass

@@ -12,11 +12,11 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
+from geort_drake.settings import check_fields, fault_of
 from geort_drake.simulation.scenario import ObjectConfig, Scenario, object_file
 from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.corrections import load_policy
 from geort_drake.systems.joint_limits import check_timing
-from geort_drake.yaml_files import check_fields, fault_of
 
 # Rule, its test, and the numeric fields to which it applies.
 _RULES = (
