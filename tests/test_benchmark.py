@@ -15,7 +15,7 @@ from geort_drake.benchmark.log import TrialKey, key_of, read_rows
 from geort_drake.benchmark.run import Benchmark, Settings, Variant, read_scenarios, read_settings, vary
 from geort_drake.cli import main, run_command
 from geort_drake.errors import BenchmarkError, ScenarioError, UsageError
-from geort_drake.live.web.watched_trial import make_watched_trial
+from geort_drake.live.web.session import watched_trial
 from geort_drake.methods import resolve
 from geort_drake.resources import models_dir
 from geort_drake.retargeting.universal import UniversalRetargeter
@@ -273,8 +273,8 @@ def test_a_trial_is_the_same_in_a_benchmark_in_the_command_grasp_and_on_the_page
     assert result["operator_phase"] == "surround" and judged(result) == judged({n: row[n] for n in result})
     scenario = read_scenarios(folder)[Variant("grasp", "servo")]
     builder = TrialBuilder(Hand("allegro_right"))
-    page = make_watched_trial(builder, scenario, resolve("universal", Hand("allegro_right"))[0])
-    simulator = started(page.parts)
+    parts, page = watched_trial(builder, scenario, resolve("universal", Hand("allegro_right"))[0])
+    simulator = started(parts)
     simulator.AdvanceTo(scenario.timeout)
     metrics = page.outcome(simulator.get_context()).metrics
     assert metrics == {name: row[name] for name in metrics}

@@ -18,8 +18,8 @@ from geort_drake.live.session import SteadyState
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
 from geort_drake.live.web.operator_station import OperatorStation
-from geort_drake.live.web.watched_trial import WatchedTrial
 from geort_drake.people.recording_log import RecordingLog
+from geort_drake.simulation.task import Outcome, Stage
 from geort_drake.simulation.tasks.grasp import explained
 from geort_drake.systems.glove import GloveRecorder
 
@@ -32,6 +32,47 @@ UNTOUCHED = "reach"
 # The computer is too slow if less than this share of real time was simulated over the last seconds.
 _SLOW, _PACE_S = 0.85, 3.0
 _NEWEST = 300  # number of newest samples in the displayed delay
+
+
+class WatchedTrial:
+    """A trial of `geort-drake grasp`, which the page shows where nobody has a camera.
+
+    It is read in the same way as a `Teleoperation`.
+
+    Args:
+        stage: stage of the trial.
+        timeout: longest duration, s.
+    """
+
+    simulated_person = True
+    late = 0
+
+    def __init__(self, stage: Stage, timeout: float):
+        self._stage, self._timeout = stage, timeout
+
+    def outcome(self, root: Context) -> Outcome:
+        """Returns the task's outcome so far; a trial that takes too long is over."""
+        outcome = self._stage.outcome(root)
+        return outcome.replace(over=outcome.over or root.get_time() >= self._timeout)
+
+    def restart(self, root: Context) -> None:
+        """Does nothing, as a trial begins when its diagram does."""
+
+    def phase(self, root: Context) -> str:
+        """Returns the name of the task's present state."""
+        return self._stage.phase(root)
+
+    def following(self, root: Context) -> bool:
+        """Whether the robot follows the person."""
+        return True
+
+    def state(self, root: Context) -> str:
+        """Returns what is shown as the state of the fingers."""
+        return "a simulated person works"
+
+    def delay(self, newest: int) -> dict[str, Any]:
+        """Returns no figures, as nothing arrives from outside."""
+        return {"count": 0, "median": None, "p99": None}
 
 
 class PageControl:

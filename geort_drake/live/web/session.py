@@ -18,11 +18,11 @@ from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.robots import RobotLink, SimulatedRobot
 from geort_drake.live.session import STEP_S, SessionReport, run_in_real_time, run_session
 from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
-from geort_drake.live.web.control import PageControl
+from geort_drake.live.web.control import PageControl, WatchedTrial
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PageScene, measured_poses
-from geort_drake.live.web.watched_trial import make_watched_trial
-from geort_drake.retargeting.base import Retarget
+from geort_drake.retargeting.base import Retarget, forget
+from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.following import RobotModel, robot_model
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.tasks import find_task
@@ -166,8 +166,7 @@ class WebTeleoperation:
         self._watched += 1
         if self._builder is None:
             self._builder = TrialBuilder(Hand(setup.description))
-        trial = make_watched_trial(self._builder, scenario, setup.retarget)
-        parts = trial.parts
+        parts, watched = watched_trial(self._builder, scenario, setup.retarget)
         scene = PageScene(parts.plant, parts.stage.scene_graph.model_inspector(), setup.description)
         self._show(scene)
         simulator = Simulator(parts.diagram)
@@ -182,11 +181,11 @@ class WebTeleoperation:
             frame = scene.frame(root.get_time(), poses.Eval(contexts[0]), p_HK, setup.about.side)
             self.server.publish(frame=frame)
 
-        control.begin(trial, None, self._scenes, self._facts(scenario), show)
+        control.begin(watched, None, self._scenes, self._facts(scenario), show)
 
         def go_on() -> bool:
             control.step(root, False)
-            return not (stop() or control.again or trial.outcome(root).over)
+            return not (stop() or control.again or watched.outcome(root).over)
 
         run_in_real_time(simulator, STEP_S, go_on)
         while not (stop() or control.again):
@@ -240,6 +239,22 @@ class WebTeleoperation:
         self._show(scene)
         control.begin(loop, recorder, self._scenes, self._facts(scenario), show)
         return loop
+
+
+def watched_trial(
+    builder: TrialBuilder, scenario: Scenario, retarget: Retarget
+) -> tuple[TrialDiagram, WatchedTrial]:
+    """Builds the trial that `geort-drake grasp` would simulate for this scenario and method.
+
+    Planning and the person's free play take some seconds the first time.
+
+    Raises:
+        ScenarioError: the hand cannot do the task.
+    """
+    trial = builder.trial(scenario, retarget)
+    forget(trial.retarget)
+    parts = make_trial_diagram(trial.scenario, trial.retarget, trial.human)
+    return parts, WatchedTrial(parts.stage, scenario.timeout)
 
 
 def robot_joints(model: RobotModel) -> dict[str, list[str]]:
