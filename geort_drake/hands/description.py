@@ -1,6 +1,8 @@
 """The description of a robot hand: its model file, fingers, hand base, couplings and mount."""
 
+import copy
 import dataclasses as dc
+import functools
 import os
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -276,8 +278,7 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
     if not path.is_file():
         raise HandError(f"the hand description {path} is missing")
     try:
-        check_fields(yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader), HandDescription)
-        hand = yaml_load_typed(schema=HandDescription, filename=str(path))
+        hand = copy.deepcopy(_parsed(path.read_text(encoding="utf-8")))
     except Exception as error:  # the loader raises RuntimeError, YAMLError, TypeError, ValueError, ...
         raise HandError(f"the hand description {path} is malformed: {fault_of(error)}") from error
     with naming(path, HandError):
@@ -285,6 +286,12 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
     if not hand.model.startswith("package://"):
         hand.model = str(path.resolve().parent / hand.model)  # an absolute model path replaces the parent
     return hand
+
+
+@functools.lru_cache(maxsize=32)  # parsing takes 8 ms, and a trial asks for its hand in several places
+def _parsed(text: str) -> HandDescription:
+    check_fields(yaml.compose(text, Loader=yaml.SafeLoader), HandDescription)
+    return yaml_load_typed(schema=HandDescription, data=text)
 
 
 def write_description(description: HandDescription, path: Path, comments: Iterable[str] = ()) -> None:
