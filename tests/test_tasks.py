@@ -231,7 +231,7 @@ def another_trial(*case: object, fails: str = ""):
     ("task", "method", "kind", "settings", "least", "most"),
     [
         ("keys", "affine_ik", "mimicry", KEYS, 1.0, 1.0),
-        ("cap", "affine_ik", "adaptive", "turn: 150", 1.0, 1.0),
+        ("cap", "affine_ik", "adaptive", "turn: 90", 1.0, 1.0),
         ("peg", "affine_ik", "adaptive", "", 1.0, 1.0),
         another_trial("keys", "hold", "servo", ONE_KEY, 0.0, 0.0),
         another_trial("keys", "affine_ik", "adaptive", KEYS, 1.0, 1.0),
@@ -252,7 +252,7 @@ def test_people_do_a_task_through_a_map_that_follows_alone(task, method, kind, s
     assert least <= result.score <= most and result.success == (method != "hold")
     assert (result.outcome == "success") == result.success
     assert task != "keys" or attainable == result.success
-    assert task != "cap" or not result.success or result.attempts > 1  # 150° are more than one stroke
+    assert task != "cap" or not result.success or result.attempts > 1  # 90° are more than one stroke
 
 
 def test_a_person_learns_how_the_robots_fingertip_follows():
