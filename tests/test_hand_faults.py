@@ -232,6 +232,14 @@ def test_a_package_is_known_by_its_package_xml(inner, tmp_path):
             propose(model)
     (folder / "package.xml").write_text("<package>\n  <name> my_hand </name>\n</package>")
     assert_upright(propose(model)[0], "left")
+    # Another encoding, and other names before the package's.
+    text = (
+        "<package><!-- <name>old</name> --><author><name>José</name></author><name>my_hand</name></package>"
+    )
+    (folder / "package.xml").write_text(
+        f'<?xml version="1.0" encoding="ISO-8859-1"?>{text}', encoding="latin-1"
+    )
+    assert_upright(propose(model)[0], "left")
 
 
 @pytest.mark.parametrize(
@@ -245,6 +253,17 @@ def test_a_package_is_known_by_its_package_xml(inner, tmp_path):
             'lower="0.0" upper="1.4"',
             'lower="0.0" upper="x"',
             r"joint 'thumb_mcp': upper must be a number; given: x",
+        ),
+        ('velocity="5"', 'velocity="-5"', r"joint 'thumb_mcp' has the negative velocity limit -5 rad/s"),
+        (
+            '<parent link="palm"/><child link="index_mcp_link"/>',
+            '<parent link="index_pip_link"/><child link="index_mcp_link"/>',
+            r"the joints 'index_pip', 'index_mcp' form a loop, so that the link 'index_mcp_link' moves",
+        ),
+        (
+            '<child link="index_mcp_link"/>',
+            '<child link="middle_mcp_link"/>',
+            r"the joints 'index_mcp' and 'middle_mcp' both move the link 'middle_mcp_link'",
         ),
     ],
 )

@@ -12,7 +12,7 @@ from pydrake.geometry import Convex, Mesh, SceneGraphInspector
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
-from geort_drake.errors import HandError
+from geort_drake.errors import HandError, listed
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import CouplingDescription
 from geort_drake.hands.mjcf import compile_mjcf, read_mjcf_couplings
@@ -71,8 +71,7 @@ def find_package(model: Path, name: str) -> Path:
     """
     folders = [*model.resolve().parents]
     for folder in folders:
-        file = folder / "package.xml"
-        if file.is_file() and re.search(rf"<name>\s*{re.escape(name)}\s*</name>", file.read_text("utf-8")):
+        if _package_name(folder / "package.xml") == name:
             return folder
     for folder in folders:
         if folder.name == name:
@@ -83,6 +82,15 @@ def find_package(model: Path, name: str) -> Path:
         f"model {model}: the package '{name}' is in no folder above the model; the package's folder needs a "
         f"package.xml with <name>{name}</name>, or this name itself"
     )
+
+
+def _package_name(file: Path) -> str | None:
+    """Returns the name in a ROS package's `package.xml`; None if there is no such file, or it is not XML."""
+    try:
+        name = ET.parse(file).getroot().findtext("name")
+    except (OSError, ET.ParseError, ValueError):  # ValueError for an unknown encoding
+        return None
+    return (name or "").strip()
 
 
 def model_files(
@@ -144,11 +152,12 @@ def check_values(tree: ET.Element) -> None:
         tree: the XML of a URDF or SDF file.
 
     Raises:
-        HandError: two links or two joints have one name; limits are swapped; a joint follows another by a
-            factor of 0; a mass or moment of inertia is negative or not finite, or a product of inertia not
-            finite.
+        HandError: two links or two joints have one name; joints form a loop, or two of URDF move one link;
+            limits are swapped; a joint follows another by a factor of 0; a velocity limit of URDF, a mass or
+            a moment of inertia is negative, or one of the inertias not finite.
     """
     for model in [tree, *tree.iter("model")]:
+        _check_tree(model)
         for kind in ("link", "joint"):
             names = Counter(element.get("name", "") for element in model.findall(kind))
             for name, count in names.items():
@@ -164,12 +173,37 @@ def check_values(tree: ET.Element) -> None:
                     raise HandError(
                         f"{where} has its limits swapped: lower {low:g} is above upper {high:g} rad"
                     )
+                # In SDF, a negative limit means that there is none.
+                if limit.get("velocity") and (speed := _number(limit, "velocity", 0.0, where)) < 0:
+                    raise HandError(f"{where} has the negative velocity limit {speed:g} rad/s")
             for mimic in _mimics(joint):
                 if _number(mimic, "multiplier", 1.0, where) == 0:
                     raise HandError(
                         f"{where} follows '{mimic.get('joint')}' by a multiplier of 0, so it never moves: "
                         "make it a fixed joint"
                     )
+
+
+def _check_tree(model: ET.Element) -> None:
+    """Checks that no link is moved by itself, and in URDF none by two joints."""
+    above: dict[str, tuple[str, str]] = {}  # child → its joint and parent
+    for joint in model.findall("joint"):
+        ends = [joint.find(end) for end in ("parent", "child")]
+        # Attributes in URDF, texts in SDF.
+        parent, child = ("" if e is None else e.get("link") or (e.text or "").strip() for e in ends)
+        name = joint.get("name", "")
+        if model.tag == "robot" and child in above:
+            raise HandError(f"the joints '{above[child][0]}' and '{name}' both move the link '{child}'")
+        above[child] = name, parent
+    for link in above:
+        joints: list[str] = []
+        at = link
+        while at in above and len(joints) <= len(above):
+            joints.append(above[at][0])
+            at = above[at][1]
+            if at == link:
+                loop = listed([f"'{joint}'" for joint in reversed(joints)])
+                raise HandError(f"the joints {loop} form a loop, so that the link '{link}' moves itself")
 
 
 def _check_inertia(link: ET.Element) -> None:
