@@ -155,7 +155,7 @@ def test_an_interrupted_run_keeps_the_finished_methods(evaluate, quick, monkeypa
 @pytest.fixture
 def halves(play, allegro) -> Comparison:
     """A comparison on the halves of the play, of methods that need no training."""
-    return Comparison(allegro, [held_out(play, 2)], (0,), frame_limit=10)
+    return Comparison(allegro, {"held_out": held_out(play, 2)}, (0,), frame_limit=10)
 
 
 def row(metric, value, part="a", seed=0, weight=1.0) -> dict:
@@ -223,7 +223,7 @@ def test_held_out_blocks_divide_the_valid_frames(play, blocks):
     frames = np.arange(600)
     seen = ((frames < 100) | (frames >= 140)) & ((frames < 400) | (frames >= 403))
     gaps = dataclasses.replace(play, t=play.t[frames], p_HK=play.p_HK[frames], valid=seen)
-    cases = held_out(gaps, blocks).cases.values()
+    cases = held_out(gaps, blocks).values()
     scored = np.array([scored_on.valid for _, scored_on in cases])
     np.testing.assert_array_equal(scored.sum(axis=0), gaps.valid.astype(int))
     assert len(cases) == blocks and np.ptp(scored.sum(axis=1)) <= 1

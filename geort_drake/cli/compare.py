@@ -68,13 +68,15 @@ class Evaluate(Command):
         from geort_drake.console import console, progress_bar, warn
         from geort_drake.methods import methods_for, names_of
         from geort_drake.metrics.compare import (
+            HELD_OUT,
+            OTHER_PERSON,
+            SAME_PERSON,
             Comparison,
             Row,
             failures,
             held_out,
             other_person,
             report,
-            same_person,
             tables,
         )
 
@@ -83,12 +85,12 @@ class Evaluate(Command):
         names_of(methods, hand)  # refuses unusable ones before anything is trained
         seeds = list(dict.fromkeys(self.seeds))
         recording = read_recording(self.recording, hand.description.side, training=True)
-        protocols = [same_person(recording, self.recording.name)]
+        protocols = {SAME_PERSON: {self.recording.name: (recording, recording)}}
         if self.held_out is not None:
-            protocols.append(held_out(recording, self.held_out))
+            protocols[HELD_OUT] = held_out(recording, self.held_out)
         if self.score_on:
             others = {str(path): read_recording(path, hand.description.side) for path in self.score_on}
-            protocols.append(other_person(recording, others))
+            protocols[OTHER_PERSON] = other_person(recording, others)
         comparison = Comparison(hand, protocols, seeds, self.frames)
         rows: list[Row] = []
         done, total = itertools.count(), comparison.cases_per_method * len(methods)

@@ -31,41 +31,31 @@ SAME_PERSON, HELD_OUT, OTHER_PERSON = "same_person", "held_out", "other_person"
 # Successive frames are similar, so frames this close to a held-out block are not used for training, s.
 GUARD_S = 1.0
 
-
-@dataclasses.dataclass(frozen=True)
-class Protocol:
-    """A way to compare methods.
-
-    Attributes:
-        name: SAME_PERSON, HELD_OUT or OTHER_PERSON.
-        title: title in tables.
-        meaning: meaning of its metrics, and which are left out.
-        cases: name of each part, a file or block → the recordings for training and for scoring.
-        with_coverage: whether coverage of the robot's C-space is meaningful.
-    """
-
-    name: str
-    title: str
-    meaning: str
-    cases: Mapping[str, tuple[Recording, Recording]]
-    with_coverage: bool = True
-
-
-def same_person(recording: Recording, name: str) -> Protocol:
-    """Makes the protocol that trains and evaluates on the same recording, as in the paper."""
-    return Protocol(
-        SAME_PERSON,
+# Protocol → its title in tables, and the meaning of its metrics.
+PROTOCOLS = {
+    SAME_PERSON: (
         "same person, training recording",
         "trained and scored on the same recording, as in the paper",
-        {name: (recording, recording)},
-    )
+    ),
+    HELD_OUT: (
+        "same person, held-out blocks",
+        f"scored on each contiguous block, trained on the rest, {GUARD_S:g} s before and after the block "
+        "left out; no coverage, as a block contains too little motion to cover the C-space",
+    ),
+    OTHER_PERSON: (
+        "another person",
+        "trained on one person's recording, scored on another's; only a universal map adapts, to the first "
+        "second",
+    ),
+}
+# Parts of a protocol: name of a file or block → the recordings for training and for scoring.
+Parts = dict[str, tuple[Recording, Recording]]
 
 
-def held_out(recording: Recording, blocks: int) -> Protocol:
-    """Makes the protocol that evaluates on each of `blocks` contiguous parts and trains on the others.
+def held_out(recording: Recording, blocks: int) -> Parts:
+    """Divides the valid frames of a recording into `blocks` contiguous blocks, each scored by itself.
 
-    The parts divide the valid frames. Frames of the block, and those up to GUARD_S before or after it, are
-    invalid in the training recording.
+    Frames of the block, and those up to GUARD_S before or after it, are invalid in the training recording.
 
     Raises:
         RecordingError: there are fewer than two blocks, or blocks are too short for the metrics.
@@ -77,28 +67,21 @@ def held_out(recording: Recording, blocks: int) -> Protocol:
             f"held-out blocks must be 2 to {most} for {len(frames)} valid frames (at least {MIN_FRAMES} "
             f"each), not {blocks}"
         )
-    cases = {}
+    parts = {}
     for number, block in enumerate(np.array_split(frames, blocks), start=1):
         inside = np.zeros(len(recording), dtype=bool)
         inside[block] = True
         first, last = recording.t[block[[0, -1]]]
         away = (recording.t < first - GUARD_S) | (recording.t > last + GUARD_S)
-        cases[f"block {number} of {blocks}"] = (
+        parts[f"block {number} of {blocks}"] = (
             dataclasses.replace(recording, valid=recording.valid & away),
             dataclasses.replace(recording, valid=inside),
         )
-    return Protocol(
-        HELD_OUT,
-        "same person, held-out blocks",
-        f"scored on each of {blocks} contiguous blocks, trained on the rest, {GUARD_S:g} s before and after "
-        "the block left out; no coverage, as a block contains too little motion to cover the C-space",
-        cases,
-        with_coverage=False,
-    )
+    return parts
 
 
-def other_person(recording: Recording, others: Mapping[str, Recording]) -> Protocol:
-    """Makes the protocol that trains on one recording and evaluates on others, name → recording.
+def other_person(recording: Recording, others: Mapping[str, Recording]) -> Parts:
+    """Returns the parts that train on one recording and score on others, name → recording.
 
     Raises:
         RecordingError: one of the others is the training recording.
@@ -106,13 +89,7 @@ def other_person(recording: Recording, others: Mapping[str, Recording]) -> Proto
     for name, other in others.items():
         if other.digest == recording.digest:
             raise RecordingError(f"{name}: this is the training recording; give another one")
-    return Protocol(
-        OTHER_PERSON,
-        "another person",
-        "trained on one person's recording, scored on another's; only a universal map adapts, to the "
-        "first second",
-        {name: (recording, other) for name, other in others.items()},
-    )
+    return {name: (recording, other) for name, other in others.items()}
 
 
 FORMAT = 4  # of the comparison file; incremented when keys change
@@ -211,7 +188,7 @@ class Comparison:
 
     Args:
         hand: model of the robot hand.
-        protocols: protocols that define the training and scored recordings.
+        protocols: name of each of the `PROTOCOLS` to follow → its parts.
         seeds: seeds of training and metrics; all cases run with each of them.
         frame_limit: largest number of valid frames, from the first on, of each scored recording or block.
     """
@@ -219,17 +196,17 @@ class Comparison:
     def __init__(
         self,
         hand: Hand,
-        protocols: Sequence[Protocol],
+        protocols: Mapping[str, Parts],
         seeds: Sequence[int],
         frame_limit: int | None = None,
     ):
-        self.hand, self.protocols, self.seeds = hand, tuple(protocols), tuple(seeds)
+        self.hand, self.protocols, self.seeds = hand, protocols, tuple(seeds)
         self.frame_limit = frame_limit
 
     @property
     def cases_per_method(self) -> int:
         """Number of cases that `run` evaluates, over all seeds."""
-        return len(self.seeds) * sum(len(protocol.cases) for protocol in self.protocols)
+        return len(self.seeds) * sum(map(len, self.protocols.values()))
 
     def run(self, name: str, starts: Callable[[str], None] = lambda _note: None) -> list[Row]:
         """Evaluates one method under every protocol.
@@ -244,11 +221,11 @@ class Comparison:
             metric; the others continue.
         """
         rows: list[Row] = []
-        for protocol in self.protocols:
+        for protocol, parts in self.protocols.items():
             for seed in self.seeds:
-                for part in protocol.cases:
+                for part in parts:
                     starts(f"{Path(name).name}, {part}, seed {seed}")
-                    key = {"method": name, "protocol": protocol.name, "part": part, "seed": seed}
+                    key = {"method": name, "protocol": protocol, "part": part, "seed": seed}
                     try:
                         metrics = dict(flat(self._evaluate(name, protocol, part, seed)))
                     except GeortError as error:
@@ -260,14 +237,14 @@ class Comparison:
                     ]
         return rows
 
-    def _evaluate(self, name: str, protocol: Protocol, part: str, seed: int) -> dict:
-        trained_on, source = protocol.cases[part]
+    def _evaluate(self, name: str, protocol: str, part: str, seed: int) -> dict:
+        trained_on, source = self.protocols[protocol][part]
         if (count := min(int(source.valid.sum()), self.frame_limit or len(source))) < MIN_FRAMES:
             raise RecordingError(f"{part}: {count} valid frames, at least {MIN_FRAMES} are needed")
         if name not in METHODS and Path(name).suffix != PYTHON_SUFFIX:
-            _check_training(name, protocol, part)
+            _check_training(name, protocol, part, source)
         retarget, _ = resolve(name, self.hand, trained_on, seed)
-        metrics = evaluate(retarget, self.hand, source, seed, self.frame_limit, protocol.with_coverage)
+        metrics = evaluate(retarget, self.hand, source, seed, self.frame_limit, protocol != HELD_OUT)
         return finite_json(metrics)
 
 
@@ -278,21 +255,20 @@ def _weight(metric: str, metrics: Mapping[str, float | None]) -> float:
     return float(metrics[f"{group}.frames"] or 0) if is_share else 1.0
 
 
-def _check_training(name: str, protocol: Protocol, part: str) -> None:
+def _check_training(name: str, protocol: str, part: str, scored_on: Recording) -> None:
     """Raises MapError unless the training of a map of one person fits the protocol."""
     recording = load_retargeter(name).info.get("provenance", {}).get("recording")
     if recording is None:
         return  # a universal map
-    if protocol.name == HELD_OUT:
+    if protocol == HELD_OUT:
         raise MapError(f"{name}: a map cannot be trained without the block; name its method instead")
-    _, scored_on = protocol.cases[part]
     known = recording["sha256"] == scored_on.digest
-    if protocol.name == SAME_PERSON and not known:
+    if protocol == SAME_PERSON and not known:
         raise MapError(
             f"{name}: was trained on another recording than {part}; give that one to --recording, "
             "and this one to --score-on"
         )
-    if protocol.name != SAME_PERSON and known:
+    if protocol != SAME_PERSON and known:
         raise MapError(f"{name}: was trained on {part}; give another person's recording")
 
 
@@ -348,7 +324,7 @@ def report(comparison: Comparison, rows: Sequence[Row], recording: Recording, na
         "seeds": list(comparison.seeds),
         "frame_limit": comparison.frame_limit,
         "versions": versions(),
-        "protocols": {protocol.name: protocol.meaning for protocol in comparison.protocols},
+        "protocols": {name: PROTOCOLS[name][1] for name in comparison.protocols},
         "metrics": {metric: better(metric) for metric in dict.fromkeys(row["metric"] for row in done)},
         "rows": done,
         "errors": [row for row in rows if "error" in row],
@@ -364,28 +340,31 @@ def tables(comparison: Comparison, rows: Sequence[Row]) -> Iterator[Group]:
     """
     figures = summary(rows)
     for protocol in comparison.protocols:
-        chosen = figures[figures["protocol"] == protocol.name]
+        heading, meaning = PROTOCOLS[protocol]
+        chosen = figures[figures["protocol"] == protocol]
         lines = [
             line
             for method in dict.fromkeys(row["method"] for row in rows)
             for line in _lines(method, protocol, rows, chosen[chosen["method"] == method])
         ]
-        heading = Rule(f"{comparison.hand.description.name}: {protocol.title}", align="left")
         trained = [
             f"{method} was trained on {TRAINED_ON[method]}."
             for method in dict.fromkeys(row["method"] for row in rows)
             if method in TRAINED_ON
         ]
-        meaning = Padding(Text("\n".join([protocol.meaning, *trained])), (0, 0, 1, 0))
         drawn = [_table(title, columns, lines) for title, columns in TABLES.items()]
-        yield Group(heading, meaning, *filter(None, drawn))
+        yield Group(
+            Rule(f"{comparison.hand.description.name}: {heading}", align="left"),
+            Padding(Text("\n".join([meaning, *trained])), (0, 0, 1, 0)),
+            *filter(None, drawn),
+        )
 
 
 def _lines(
-    method: str, protocol: Protocol, rows: Sequence[Row], figures: pd.DataFrame
+    method: str, protocol: str, rows: Sequence[Row], figures: pd.DataFrame
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yields the label and the figures of each row of a method."""
-    method_rows = [row for row in rows if row["method"] == method and row["protocol"] == protocol.name]
+    method_rows = [row for row in rows if row["method"] == method and row["protocol"] == protocol]
     cases = {(row["part"], row["seed"]) for row in method_rows}
     failed = sum("error" in row for row in method_rows)
     label = Path(method).name + (f" ({len(cases) - failed} of {len(cases)})" if failed else "")
