@@ -75,11 +75,11 @@ class Live(Command, ScenarioOptions):
     def run(self) -> int:
         from geort_drake import GloveReplay, load_hand, read_recording
         from geort_drake.cli.live_session import (
+            add_counts,
             print_keys,
             print_summary,
             retargeter_of,
             say_state,
-            summary_of,
         )
         from geort_drake.console import warn
         from geort_drake.live.glove_stream import GloveStream
@@ -152,7 +152,7 @@ class Live(Command, ScenarioOptions):
             engaged = self.engage == "now"
             print_keys("" if engaged else "Enter engages and disengages. ")
             with stopping() as stop:
-                report = run_session(
+                summary = run_session(
                     loop,
                     engaged,
                     None if engaged else EnterKey(),
@@ -161,7 +161,7 @@ class Live(Command, ScenarioOptions):
                     lambda: link.require_alive(self.robot_silence) if link else None,
                     say_state,
                 )
-        summary = summary_of(report, loop, link)
+        add_counts(summary, loop, link)
         print_summary(summary)
         if self.record and self.record.is_file():
             finish({"Recording": self.record}, command("grasp", recording=self.record))

@@ -1,15 +1,14 @@
 """Shared by all sessions of `geort-drake live`: loading the map, messages and the report."""
 
-import dataclasses
 import math
 from pathlib import Path
+from typing import Any
 
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.live.glove_stream import NOTABLE_DRIFT
 from geort_drake.live.robots import RobotLink
-from geort_drake.live.session import SessionReport
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.methods import default_method, names_of, resolve
 from geort_drake.retargeting.base import Retarget
@@ -43,9 +42,8 @@ def say_state(time: float, state: str) -> None:
     say(f"{time:8.2f} s  {state}")
 
 
-def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | None) -> dict:
-    """Returns the report of a session, for --json."""
-    summary = dataclasses.asdict(report)
+def add_counts(summary: dict[str, Any], loop: Teleoperation, link: RobotLink | None) -> None:
+    """Adds the counts of glove and robot to the summary of a session, for --json."""
     if (meter := loop.meter) is not None:
         glove = loop.glove
         summary["glove"] = {
@@ -60,7 +58,6 @@ def summary_of(report: SessionReport, loop: Teleoperation, link: RobotLink | Non
         summary["delay_s"] = meter.delay()
     if link:
         summary["robot"] = {"refused": link.bus.refused, "last_refusal": link.bus.last_refusal or None}
-    return summary
 
 
 def print_summary(summary: dict) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from geort_drake.cli.base import command, finish, write_json
-from geort_drake.cli.live_session import print_keys, print_summary, retargeter_of, say_state, summary_of
+from geort_drake.cli.live_session import add_counts, print_keys, print_summary, retargeter_of, say_state
 from geort_drake.console import console
 from geort_drake.errors import GeortError, UsageError
 from geort_drake.files import require_writable
@@ -58,7 +58,7 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, link
         print_keys("")
         try:
             with stopping() as stop:
-                report, loop = teleoperation.run(
+                summary, loop = teleoperation.run(
                     options.engage == "now",
                     options.duration,
                     stop.is_set,
@@ -68,7 +68,7 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, link
                 )
         finally:
             control.close()
-    summary = summary_of(report, loop, link)
+    add_counts(summary, loop, link)
     # A page's clock starts when the page is loaded, so its offset is meaningless.
     counts = {"received": station.received, "refused": station.refused + server.dropped}
     reason = {"last_refusal": station.last_refusal or None}

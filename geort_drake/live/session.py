@@ -1,6 +1,5 @@
 """Runs diagrams and recordings in real time: teleoperation with its engage key, and playback."""
 
-import dataclasses as dc
 import math
 import os
 import select
@@ -28,21 +27,6 @@ STEADY_S = 0.3
 STEP_S = 0.02
 # A diagram that lags more than this, s, continues at the present time instead of catching up.
 _MAX_LATENESS_S = 0.05
-
-
-@dc.dataclass
-class SessionReport:
-    """What happened in one session or several.
-
-    Attributes:
-        duration: duration of the sessions, s.
-        states: state → how long the fingers were in it, s.
-        late: how often the loop lagged and paused its simulated time.
-    """
-
-    duration: float = 0.0
-    states: dict[str, float] = dc.field(default_factory=dict)
-    late: int = 0
 
 
 class SteadyState:
@@ -105,8 +89,8 @@ def run_session(
     stop: Callable[[], bool],
     require_robot: Callable[[], None] = lambda: None,
     on_state: Callable[[float, str], None] = lambda time, state: None,
-    report: SessionReport | None = None,
-) -> SessionReport:
+    summary: dict[str, Any] | None = None,
+) -> dict[str, Any]:
     """Runs the loop in real time until `stop()` or for `duration`, and then holds the robot.
 
     Args:
@@ -117,7 +101,11 @@ def run_session(
         stop: returns whether to end the session.
         require_robot: called after every step; raises if the robot is lost.
         on_state: called with the time (s) and the state when it changes, see `SteadyState`, and with notices.
-        report: report of earlier sessions, to which this one is added.
+        summary: summary of earlier sessions, to which this one is added.
+
+    Returns:
+        A summary in JSON types: `duration`, s; `states`, state → how long the fingers were in it, s; and
+        `late`, how often the loop lagged and paused its simulated time.
     """
     simulator = Simulator(loop.diagram)
     root = simulator.get_mutable_context()
@@ -125,8 +113,8 @@ def run_session(
         loop.stage.initialize(root)
     loop.engage(root, engaged)
     simulator.Initialize()
-    report = report or SessionReport()
-    states = report.states
+    summary = summary or {"duration": 0.0, "states": {}, "late": 0}
+    states = summary["states"]
     steady, last, notice = SteadyState(), "", ""
     ended: float | None = None
 
@@ -152,9 +140,9 @@ def run_session(
             loop.engage(root, False)
         return ended is None or time < ended + HOLD_S
 
-    report.late += run_in_real_time(simulator, STEP_S, go_on)
-    report.duration += round(root.get_time(), 6)
-    return report
+    summary["late"] += run_in_real_time(simulator, STEP_S, go_on)
+    summary["duration"] += round(root.get_time(), 6)
+    return summary
 
 
 def run_in_real_time(

@@ -5,7 +5,7 @@ import dataclasses as dc
 import gc
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 from pydrake.systems.analysis import Simulator
@@ -16,7 +16,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.live.glove_stream import GloveStream
 from geort_drake.live.robots import RobotLink, SimulatedRobot
-from geort_drake.live.session import STEP_S, SessionReport, run_in_real_time, run_session
+from geort_drake.live.session import STEP_S, run_in_real_time, run_session
 from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl, WatchedTrial
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
@@ -86,7 +86,7 @@ class WebTeleoperation:
         timeout: float,
         silence: float,
         on_state: Callable[[float, str], None],
-    ) -> tuple[SessionReport, Teleoperation]:
+    ) -> tuple[dict[str, Any], Teleoperation]:
         """Runs sessions until `stop()` or until they have taken `duration`, s.
 
         Args:
@@ -95,24 +95,24 @@ class WebTeleoperation:
             on_state: see `run_session`.
 
         Returns:
-            A report of all sessions together, and the last diagram of teleoperation.
+            A summary of all sessions together, see `run_session`, and the last diagram of teleoperation.
         """
-        report = SessionReport()
+        summary: dict[str, Any] = {}
         link, control = self.link, self.control
         loop = self._teleoperation(timeout)
         while True:
             before = control.choice
             for _ in range(2):  # the first frees what keeps the rest of the last diagram alive
                 gc.collect()
-            run_session(
+            summary = run_session(
                 loop,
                 engaged,
                 control,
-                duration - report.duration,
+                duration - summary.get("duration", 0.0),
                 lambda: stop() or control.again,
                 lambda: link.require_alive(silence) if link else None,
                 on_state,
-                report,
+                summary,
             )
             control.end()
             engaged = False
@@ -129,7 +129,7 @@ class WebTeleoperation:
                     loop = self._teleoperation(timeout)
                     break
             else:
-                return report, loop
+                return summary, loop
 
     def _scenario(self) -> Scenario:
         """Returns the chosen scenario, with a new object placement in every session."""
