@@ -204,10 +204,10 @@ def test_no_trial_starts_in_contact(task, rng):
     scenario, description = load_scenario(task=task), allegro().description
     goal, builder = plans(task)[-1].goal, DiagramBuilder()
     X_WB = RobotModel(scenario, description).X_WB
-    scene = find_task(task).add_stage(builder, scenario, description, goal, X_WB, rng).scene
+    stage = find_task(task).add_stage(builder, scenario, description, goal, X_WB, rng)
     root = builder.Build().CreateDefaultContext()
-    scene.initialize(root)
-    contacts = scene.plant.get_contact_results_output_port().Eval(scene.plant.GetMyContextFromRoot(root))
+    stage.initialize(root)
+    contacts = stage.plant.get_contact_results_output_port().Eval(stage.plant.GetMyContextFromRoot(root))
     assert contacts.num_point_pair_contacts() == 0
 
 
