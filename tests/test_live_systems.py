@@ -116,10 +116,30 @@ def slewed(rate: float, seconds: float):
     return lambda t: t - (1.0 - rate) * np.clip(t - 5.0, 0.0, seconds)
 
 
-def lateness(rate_hz: float, stamp, delay, seconds: float = 40.0, jitter: float = 0.002) -> np.ndarray:
-    """How late each frame seems that is sent at t, with the stamp `stamp(t)`, and takes `delay(t)`, s."""
-    sent = np.arange(0.0, seconds, 1.0 / rate_hz)
-    arrived = sent + delay(sent) + np.random.default_rng(0).uniform(0.0, jitter, len(sent))
+def lateness(
+    rate_hz: float,
+    stamp,
+    delay,
+    seconds: float = 40.0,
+    jitter: float = 0.002,
+    loss: float = 0.0,
+    gathers: float = 0.0,
+) -> np.ndarray:
+    """How late each frame seems that is sent at t, with the stamp `stamp(t)`, and takes `delay(t)`, s.
+
+    Args:
+        rate_hz, seconds: of the frames that are sent.
+        stamp, delay: functions of the time of sending, s.
+        jitter: of the delay, s.
+        loss: fraction of the frames that never arrive.
+        gathers: time for which frames are gathered before they arrive together, s.
+    """
+    rng = np.random.default_rng(0)
+    sent, burst = np.arange(0.0, seconds, 1.0 / rate_hz), max(1, round(gathers * rate_hz))
+    together = sent[np.minimum(np.arange(len(sent)) // burst * burst + burst - 1, len(sent) - 1)]
+    arrived = together + delay(sent) + rng.uniform(0.0, jitter, len(sent))
+    kept = rng.uniform(size=len(sent)) >= loss
+    sent, arrived = sent[kept], arrived[kept]
     clock, late = SenderClock(), []
     for arrival, measured in zip(np.maximum.accumulate(arrived), stamp(sent), strict=True):
         late.append(clock.lateness(arrival, measured))
@@ -137,13 +157,33 @@ CLOCKS = {
 }
 
 
+LINKS = {
+    "a cable": {},
+    "a radio that loses frames": {"loss": 0.1},
+    "a bus that gathers frames": {"gathers": 0.034},
+    "a network with jitter": {"jitter": 0.03},
+}
+
+
+@pytest.mark.parametrize("link", LINKS)
 @pytest.mark.parametrize("rate_hz", [30.0, 100.0])
 @pytest.mark.parametrize("name", CLOCKS)
-def test_no_clock_makes_punctual_frames_late_for_ever(name, rate_hz):
+def test_no_clock_makes_punctual_frames_late_for_ever(name, rate_hz, link):
     """A clock that is set forward makes them seem early, which shows at once."""
-    late = lateness(rate_hz, CLOCKS[name], np.zeros_like)
-    assert (late[-round(5 * rate_hz) :] < 0.05).all()
+    late = lateness(rate_hz, CLOCKS[name], np.zeros_like, **LINKS[link])
+    assert (late[-round(5 * rate_hz) :] < (0.05 if link == "a cable" else 0.15)).all()
     assert np.mean(late > MAX_LATENESS_S) == 0.0
+
+
+def test_a_clock_too_slow_to_be_corrected_is_named():
+    """Frames of a frame counter at 30 Hz that come at 25 Hz count as late, and the person learns why."""
+    bench = StreamBench()
+    for number in range(400):
+        bench.clock.now = 5000.0 + number / 25.0
+        arrived = bench.after(message(0, time=number / 30.0))
+    assert not arrived["valid"]
+    assert "come later and later" in bench.stream.notice
+    assert bench.stream.notice.endswith("its time stamps count 0.8 s in a second")
 
 
 DELAYS = {
@@ -154,13 +194,16 @@ DELAYS = {
 }
 
 
+@pytest.mark.parametrize("link", LINKS)
 @pytest.mark.parametrize("rate_hz", [60.0, 100.0])
 @pytest.mark.parametrize("name", DELAYS)
-def test_frames_that_are_really_late_stay_late(name, rate_hz):
+def test_frames_that_are_really_late_stay_late(name, rate_hz, link):
     """Whether they queue up on their way, or their way gets longer."""
-    late = lateness(rate_hz, lambda t: t, DELAYS[name])
-    assert (late[: round(10 * rate_hz)] < 0.05).all()
-    assert (late[round(20 * rate_hz) :] > MAX_LATENESS_S).all()
+    late = lateness(rate_hz, lambda t: t, DELAYS[name], **LINKS[link])
+    # With lost frames, the time of each is known only roughly.
+    count = len(late) / 40.0
+    assert (late[: round(9 * count)] < 0.06).all()
+    assert (late[round(22 * count) :] > MAX_LATENESS_S).all()
 
 
 def served(*batches: list[bytes]) -> GloveStream:

@@ -113,10 +113,15 @@ class GloveStream(PythonSystem):
     @property
     def notice(self) -> str:
         """What the person should know of the sender's clock, or ""."""
-        drift = self.sender_clock.drift
-        if drift < NOTABLE_DRIFT:
-            return ""
-        return f"the glove's clock runs {100 * drift:.0f} % slow; its time stamps are corrected"
+        drift, growth = self.sender_clock.drift, self.sender_clock.growth
+        if drift >= NOTABLE_DRIFT:
+            return f"the glove's clock runs {100 * drift:.0f} % slow; its time stamps are corrected"
+        if growth >= _NOTABLE_GROWTH:
+            return (
+                "the glove's frames come later and later: they queue up on their way, or its time stamps "
+                f"count {1.0 - growth:.1f} s in a second"
+            )
+        return ""
 
     def handshake(self, timeout_s: float) -> None:
         """Waits for the first frames and checks that they show a hand of the robot's side.
@@ -190,16 +195,45 @@ class GloveStream(PythonSystem):
 _ORDINARY_DRIFT = 2e-4
 # Slewing slows a clock by at most this; a larger growth of the delay is none of the clock, s/s.
 _MAX_DRIFT = 0.15
+# From this growth of the delay on, people are told, s/s.
+_NOTABLE_GROWTH = 0.05
 # A drift is measured between the fastest frames of this many successive blocks, s each.
 _BLOCK_S, _BLOCKS = 0.5, 6
+# Radios and buses gather frames for up to this time, s.
+_BURST_S = 0.04
 
 
 class _Block(NamedTuple):
-    """Half a second of frames: the delay of the fastest, the number of frames, and the offset at the end."""
+    """Half a second of frames.
+
+    Attributes:
+        fastest: delay of the fastest frame, s.
+        spread: by how much longer the slowest took, s.
+        arrived: number of frames that arrived.
+        frames: number of frames that were sent.
+        offset: the clock's offset at the end, s.
+    """
 
     fastest: float
+    spread: float
+    arrived: int
     frames: int
     offset: float
+
+
+def _sent(steps: list[tuple[float, int]]) -> int:
+    """Returns how many frames were sent, with those that are missing between stamps.
+
+    Args:
+        steps: steps of the stamps, s, and the number of frames that arrived with each.
+    """
+    arrived = sum(frames for _, frames in steps)
+    singles = [step / frames for step, frames in steps if math.isfinite(step)]
+    if not singles or min(singles) <= 0.0:  # the stamps are coarser than the steps
+        return arrived
+    usual = float(np.median(singles))
+    # A step over missing frames is more than 1.7 usual ones; shorter ones are uneven.
+    return arrived + sum(max(0, int(single / usual + 0.3) - 1) for single in singles)
 
 
 class SenderClock:
@@ -208,14 +242,15 @@ class SenderClock:
     The offset is the delay (arrival minus stamp) of the fastest frame, which grows where the sender's clock
     runs slow: while it is slewed, or if stamps come from a frame counter and a wrong rate. Delay grows, too,
     where frames queue up on their way; but then fewer arrive in each second. So growth counts as the clock's
-    while frames arrive at their usual rate. It is measured by the median difference between the fastest
-    frames of successive blocks, which a sudden delay does not change. A delay that grows steadily from the
-    first frame on cannot be told from a slow clock.
+    while frames arrive at their usual rate, those included that are lost, as steps of the stamps tell. It is
+    measured by the median difference between the fastest frames of successive blocks, which a sudden delay
+    does not change. A delay that grows steadily from the first frame on cannot be told from a slow clock.
 
     Attributes:
         offset: this machine's clock minus the sender's, plus the delay of the fastest frame, s; infinite
             before the first frame.
         drift: by how much the sender's clock runs slow, s/s; 0 if it runs right or that is unknown.
+        growth: by how much the delay grows, whatever the reason, s/s.
     """
 
     def __init__(self) -> None:
@@ -223,11 +258,12 @@ class SenderClock:
 
     def restart(self) -> None:
         """Forgets all frames, as for another sender or a clock that was set."""
-        self.offset, self.drift = math.inf, 0.0
+        self.offset, self.drift, self.growth = math.inf, 0.0, 0.0
         self._arrived, self._stamp = math.nan, -math.inf
         self._blocks: deque[_Block] = deque(maxlen=_BLOCKS)
         self._usual = 0
-        self._fastest, self._frames = math.inf, 0
+        self._fastest, self._slowest = math.inf, -math.inf
+        self._steps: list[tuple[float, int]] = []  # of the stamps, s, and the frames in each
         self._begin_block(math.nan)
 
     def lateness(self, arrived: float, stamp: float, frames: int = 1) -> float:
@@ -248,29 +284,36 @@ class SenderClock:
             self.offset += max(self.drift, _ORDINARY_DRIFT) * (arrived - self._arrived)
         delay = arrived - stamp
         self.offset = min(self.offset, delay)
+        self._steps.append((stamp - self._stamp, frames))
         self._arrived, self._stamp = arrived, stamp
-        self._fastest, self._frames = min(self._fastest, delay), self._frames + frames
+        self._fastest, self._slowest = min(self._fastest, delay), max(self._slowest, delay)
         return delay - self.offset
 
     def _begin_block(self, time: float) -> None:
-        self._began, self._fastest, self._frames = time, math.inf, 0
+        self._began, self._fastest, self._slowest = time, math.inf, -math.inf
+        self._steps = []
 
     def _end_block(self, time: float) -> None:
         pause = time - self._began > 1.5 * _BLOCK_S
         if pause:  # frames are missing, so that neither rate nor growth is known
             self._blocks.clear()
         else:
-            self._blocks.append(_Block(self._fastest, self._frames, self.offset))
+            spread = max(0.0, self._slowest - self._fastest)
+            arrived = sum(frames for _, frames in self._steps)
+            self._blocks.append(_Block(self._fastest, spread, arrived, _sent(self._steps), self.offset))
         self._begin_block(time if pause else self._began + _BLOCK_S)
-        self.drift = 0.0
+        self.drift = self.growth = 0.0
         if len(self._blocks) < _BLOCKS:
             return
         frames = sum(block.frames for block in self._blocks)
         self._usual = max(self._usual, frames)
         growth = float(np.median(np.diff([block.fastest for block in self._blocks])))
-        drift = growth / _BLOCK_S
-        # While a queue grows by `drift`, that share of the frames is still under way; and one frame may fall
-        # outside of the blocks.
-        if 0.0 < drift <= _MAX_DRIFT and frames >= self._usual * (1.0 - 0.25 * drift) - 1.0:
+        self.growth = drift = growth / _BLOCK_S
+        # While a queue grows by `drift`, that share of the frames is still under way. One frame may fall
+        # outside of the blocks, or as many as come in a burst, or are lost in a row at either end.
+        burst = min(_BURST_S, float(np.median([block.spread for block in self._blocks])))
+        lost = frames / max(1, sum(block.arrived for block in self._blocks)) - 1.0
+        outside = 1.0 + burst * frames / (_BLOCKS * _BLOCK_S) + 4.0 * lost
+        if 0.0 < drift <= _MAX_DRIFT and frames >= self._usual * (1.0 - 0.25 * drift) - outside:
             self.drift = drift
             self.offset = max(self.offset, self._blocks[0].offset + (_BLOCKS - 1) * growth)
