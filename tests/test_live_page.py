@@ -284,6 +284,8 @@ def test_a_simulated_person_is_watched_without_a_camera(browser, stub, address):
     stub.send(simulated_person=True, scene=2, outcome=outcome)
     page.wait_for_selector("#result:has-text('The simulated person did it')")
     assert page.inner_text("#best") == ""  # the times are the person's own
+    stub.send(received=0, late=2, spectators=1)
+    until(page, lambda: page.inner_text("#counts") == "1 watching")
     page.keyboard.press(" ")
     until(page, lambda: stub.of("hello")[-1]["device"] != "simulated")
 
@@ -340,6 +342,7 @@ def test_a_camera_that_stops_or_comes_too_late_is_left_in_words(browser, stub, a
     page.wait_for_selector("#mirror canvas", state="attached")
     page.evaluate("given[1].dispatchEvent(new Event('ended'))")
     until(page, lambda: page.inner_text("#start-words") == "The camera has stopped.")
+    until(page, lambda: "Choose another way" in page.inner_text("#headline"))
     assert page.inner_text("#camera") == "Use the camera"
 
 

@@ -124,6 +124,7 @@ def test_one_person_operates_and_others_look_on():
     operated.leave(1)
     assert isinstance(operated.commands.pop(), Disengage)
     assert [decode_glove(hand, "right").p_HK is None for hand in operated.drain()] == [False, True]
+    assert operated.received == 1  # the loss of a hand is none
     assert operated.p_HK is None
     assert operated.take(2, hello())["role"] == "operator"
 

@@ -8,7 +8,7 @@ const END = { thrown: "Thrown" };
 const DEVICE_WORDS = {
   headset: "The robot is in your headset.",
   recording: "A recorded hand moves or, if there is none, a synthetic one.",
-  simulated: "A simulated person does the task, as in geort-drake grasp.",
+  simulated: "A simulated person does the task.",
 };
 // A screen that only fingers touch, such as a phone's.
 const POINTER = matchMedia("(hover: none)").matches ? "your finger" : "the mouse";
@@ -161,9 +161,9 @@ function showResult(state, times, replaying) {
 }
 
 function counts({ received, late, refused, spectators }) {
-  const watching = spectators ? ` · ${spectators} watching` : "";
   const faults = late + refused ? `, ${late} too late, ${refused} not usable` : "";
-  return `${received} pictures of your hand used${faults}${watching}`;
+  const hands = received + refused ? `${received} positions of your hand used${faults}` : "";
+  return [hands, spectators ? `${spectators} watching` : ""].filter(Boolean).join(" · ");
 }
 
 /** Writes only what has changed, as screen readers read every change. */

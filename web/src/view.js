@@ -15,7 +15,7 @@ const WORLD = new THREE.Matrix4().makeBasis(
   new THREE.Vector3(0, 1, 0),
 );
 // The person's hand is drawn to the right of the robot's. The distance is this many metres, but at most this share of
-// the viewing distance.
+// the viewing distance, so that narrow pictures show both.
 const HAND_DISTANCE = 0.24;
 const HAND_DISTANCE_SHARE = 0.28;
 const EDGES = 32; // per circle
@@ -156,9 +156,11 @@ export class View {
 
   /** Returns the vector from the robot's hand to the person's, in W: to the right in the first picture. */
   #toHand() {
-    const { eye, target } = this.description.views.overview;
-    const ahead = new THREE.Vector3(...target).sub(new THREE.Vector3(...eye));
-    const distance = Math.min(HAND_DISTANCE, HAND_DISTANCE_SHARE * ahead.length());
+    const [ahead, present] = ["overview", this.view].map((name) => {
+      const { eye, target } = this.description.views[name];
+      return new THREE.Vector3(...target).sub(new THREE.Vector3(...eye));
+    });
+    const distance = Math.min(HAND_DISTANCE, HAND_DISTANCE_SHARE * present.length());
     return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(distance);
   }
 

@@ -18,7 +18,7 @@
  * @param {Model} model
  * @returns {{name: "connecting" | "waiting" | "tracking" | "engaged" | "lost", headline: string, detail: string}}
  */
-export function situation({ connected, welcome, state, device, hand, refusal, leaving }) {
+export function situation({ connected, welcome, state, device, failure, hand, refusal, leaving }) {
   if (!connected || !welcome)
     return location.hash
       ? refusal
@@ -47,6 +47,7 @@ export function situation({ connected, welcome, state, device, hand, refusal, le
     return following
       ? say("engaged", "The robot follows your hand", refusal || (state.slow ? SLOW : plain(state.status)))
       : say("engaged", "The robot waits", refusal || plain(state.status));
+  if (!device && failure) return say("waiting", "No hand to follow", "Choose another way to move the robot.");
   if (!device) return say("waiting", `Hold up your ${side} hand`, "Use the camera, or choose another way to move the robot.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);

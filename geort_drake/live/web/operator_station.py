@@ -239,7 +239,7 @@ class OperatorStation:
         if operator.device in ("camera", "headset", "scripted"):
             self._watch_fist(operator)
         self._hands.append(encode_frame(frame))
-        self.received += 1
+        self.received += frame.p_HK is not None
 
     def _check_first_hands(
         self, operator: Operator, hands: list[np.ndarray], p_HK: np.ndarray | None
