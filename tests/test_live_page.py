@@ -340,6 +340,7 @@ def test_a_camera_that_stops_or_comes_too_late_is_left_in_words(browser, stub, a
     page.click("#camera")
     page.evaluate("allow()")
     page.wait_for_selector("#mirror canvas", state="attached")
+    until(page, lambda: "The camera is starting" in page.inner_text("#headline"))
     page.evaluate("given[1].dispatchEvent(new Event('ended'))")
     until(page, lambda: page.inner_text("#start-words") == "The camera has stopped.")
     until(page, lambda: "Choose another way" in page.inner_text("#headline"))
@@ -437,6 +438,10 @@ def test_panel_and_keys(browser, stub, address):
     until(page, lambda: len(stub.of("disengage")) == 1)
     choices = {}, {"object": "sphere"}, {"task": "keys"}
     assert stub.of("reset") == [{"type": "reset", **choice} for choice in choices]
+
+    stub.welcome(mounts=["arm", "floating"])
+    stub.send(scene=2, task="keys", object="keys", mount="floating")
+    until(page, lambda: page.input_value("#mount") == "floating" and page.is_disabled("#mount"))
 
     assert page.is_disabled("#record")
     page.check("#keep")

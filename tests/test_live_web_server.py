@@ -326,6 +326,7 @@ async def _drive(address: str) -> set[int]:
         await send_until(lambda: state["following"] and state["time"] > 2.0)
         await send_until(lambda: state["scene"] == 3, {"type": "stop"}, {"type": "reset", "task": "keys"})
         assert (state["task"], state["object"], state["outcome"]["phase"]) == ("keys", "keys", "none")
+        assert (robot["mount"], state["mount"]) == ("arm", "floating")  # keys have no arm
         assert not state["engaged"] and state["recording"] is None
         await send_until(lambda: state["scene"] == 4, {"type": "reset", "mount": "floating"})
         assert (

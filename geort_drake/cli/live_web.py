@@ -17,7 +17,7 @@ from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.hands import RecordedHand
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import find_page, open_server
-from geort_drake.live.web.session import Setup, WebTeleoperation
+from geort_drake.live.web.session import Setup, WebTeleoperation, mount_of
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
@@ -85,7 +85,7 @@ def _setup(options: Any, scenario: Scenario, description: HandDescription, is_re
     """Returns a scenario's robot, a real one or that of a simulation, with its map and tasks."""
     retarget, words = retargeter_of(options.retargeter, description)
     scenarios = {scenario.task: scenario}
-    mount = "arm" if scenario.hand_parent == Scenario().hand_parent else "floating"
+    mount = mount_of(scenario)
     tasks: dict[str, list[str]] = {}
     instructions: dict[str, str] = {}
     # Only the usual scenarios have other hands, mounts and tasks.

@@ -20,7 +20,7 @@ const element = (id) => document.getElementById(id);
 /** Shows a `Model`; returns the situation that it shows. */
 export function show(model, steady) {
   const { welcome, state, hand, device, failure } = model;
-  const now = steady.step(situation(model), Boolean(state?.engaged));
+  const now = steady.step({ ...situation(model), ...quality(model) }, Boolean(state?.engaged));
   const { body } = document;
   body.dataset.state = now.name;
   body.toggleAttribute("data-engaged", Boolean(state?.engaged));
@@ -50,9 +50,8 @@ export function show(model, steady) {
   write("camera", device === "camera" ? "Stop the camera" : "Use the camera");
   write("headset", device === "headset" ? "Leave headset" : "Use the headset");
   element("camera").classList.toggle("primary", device === null);
-  const { value, words } = quality(model);
-  element("quality").value = value;
-  write("quality-words", words);
+  element("quality").value = now.value;
+  write("quality-words", now.words);
   const delay = hand.delay + (state?.delay.median ?? NaN);
   write("delay", hand.seen && delay > 0 ? `${Math.round(1000 * delay)} ms` : "");
 
@@ -67,7 +66,8 @@ export function show(model, steady) {
   for (const id of ["reset", ...CHOICES]) element(id).disabled = fixed;
   if (state?.task && !CHOICES.includes(document.activeElement?.id)) {
     element("hand").value = welcome.hand;
-    element("mount").value = welcome.mount;
+    element("mount").value = state.mount;
+    element("mount").disabled ||= state.mount !== welcome.mount; // the task's own
     element("task-name").value = state.task;
     showObjects(welcome.tasks[state.task]);
     element("object").value = state.object;

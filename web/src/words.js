@@ -49,6 +49,8 @@ export function situation({ connected, welcome, state, device, failure, hand, re
       : say("engaged", "The robot waits", refusal || plain(state.status));
   if (!device && failure) return say("waiting", "No hand to follow", "Choose another way to move the robot.");
   if (!device) return say("waiting", `Hold up your ${side} hand`, "Use the camera, or choose another way to move the robot.");
+  if (device === "camera" && hand.t === undefined)
+    return say("waiting", "The camera is starting", "It takes a moment until your hand can be found.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
   if (!seen) return say("waiting", `Hold up your ${side} hand`, "Show the whole hand, with the palm to the camera.");
@@ -107,7 +109,7 @@ const sentence = (words) => (words ? `${words[0].toUpperCase()}${words.slice(1).
 /** How well the hand is seen, from 0 to 1, and in words that agree with what the robot does. */
 export function quality({ hand, state, device }) {
   if (["pointer", "recording", "simulated"].includes(device)) return { value: 1, words: "No camera needed" };
-  if (!hand.seen) return { value: 0, words: "No hand seen" };
+  if (!hand.seen) return { value: 0, words: hand.t === undefined ? "No hand yet" : "No hand seen" };
   const value = hand.score * Math.min(hand.rate / 25, 1);
   if (state?.slow) return { value: Math.min(value, 0.4), words: "Hand seen, but this computer is too slow" };
   if (state?.engaged && !state.following) return { value: Math.min(value, 0.7), words: "Hand seen; the robot waits" };
@@ -126,7 +128,7 @@ export class Steady {
   /** Returns the situation to show in place of `now`. What the person did, engaging, shows at once. */
   step(now, engaged) {
     const time = performance.now();
-    const words = now.headline + now.detail;
+    const words = now.headline + now.detail + now.words;
     if (words !== this.words) [this.words, this.since] = [words, time];
     if (!this.shown || engaged !== this.engaged || time - this.since >= STEADY_MS) {
       [this.shown, this.engaged] = [now, engaged];

@@ -236,6 +236,7 @@ class PageControl:
             "scene": self._scene,
             "task": self._facts.get("task"),
             "object": self._facts.get("object"),
+            "mount": self._facts.get("mount"),
             "time": self._clock(root),
             "engaged": engaged,
             "simulated_person": self.loop.simulated_person,

@@ -54,6 +54,11 @@ class Setup:
     retarget: Retarget
 
 
+def mount_of(scenario: Scenario) -> str:
+    """Returns what carries the hand: "arm", or "floating"."""
+    return "arm" if scenario.hand_parent == Scenario().hand_parent else "floating"
+
+
 @dc.dataclass
 class WebTeleoperation:
     """Runs the sessions of one page, and holds what they share.
@@ -157,6 +162,7 @@ class WebTeleoperation:
         facts: dict[str, str | int] = {"robot": about.robot, "hand": self.setup.description.name}
         if self.link is None:
             facts |= {"task": task.name, "object": task.case_of(scenario), "seed": scenario.random_seed}
+            facts["mount"] = mount_of(scenario)
         return facts
 
     def _watch(self, stop: Callable[[], bool]) -> None:
