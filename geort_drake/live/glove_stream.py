@@ -28,10 +28,17 @@ MAX_LATENESS_S = 0.2
 NOTABLE_DRIFT = 0.005
 HANDSHAKE_FRAMES = 5
 
-# Indices in the state.
-_KEYPOINTS, _POSE = slice(0, 63), slice(63, 70)
-_VALID, _STAMP, _SENT, _LATENESS = range(70, 74)
-_AT_START = (*np.zeros(63), 1.0, *np.zeros(6), 0.0, 0.0, math.nan, 0.0)
+# Fields of the state, which are named like their ports.
+_FIELDS = np.dtype(
+    [
+        ("keypoints", float, 63),
+        ("wrist_pose", float, 7),
+        ("valid", float),
+        ("stamp", float),
+        ("sent", float),
+        ("lateness", float),
+    ]
+)
 
 
 class GloveStream(PythonSystem):
@@ -82,25 +89,21 @@ class GloveStream(PythonSystem):
         self.received = self.refused = self.late = self.repaired = self._arrivals = 0
         self.sender_clock, self.largest_drift = SenderClock(), 0.0
         self.last_refusal = self._refusing = ""
-        self._state = self.DeclareDiscreteState(np.array(_AT_START))
+        start = np.zeros(1, _FIELDS)
+        start["wrist_pose"][0, 0], start["sent"] = 1.0, math.nan
+        self._state = self.DeclareDiscreteState(start.view(float))
         ticket = {self.discrete_state_ticket(self._state)}
-        for name, place in (
-            ("keypoints", _KEYPOINTS),
-            ("valid", slice(_VALID, _VALID + 1)),
-            ("stamp", slice(_STAMP, _STAMP + 1)),
-            ("sent", slice(_SENT, _SENT + 1)),
-            ("lateness", slice(_LATENESS, _LATENESS + 1)),
-        ):
+        for name in ("keypoints", "valid", "stamp", "sent", "lateness"):
             self.DeclareVectorOutputPort(
                 name,
-                place.stop - place.start,
-                lambda context, output, place=place: output.SetFromVector(self._value(context)[place]),
+                start[name].size,
+                lambda context, output, name=name: output.SetFromVector(np.ravel(self._value(context)[name])),
                 ticket,
             )
         self.DeclareAbstractOutputPort(
             "wrist_pose",
             lambda: AbstractValue.Make(RigidTransform()),
-            lambda context, output: output.set_value(vector_to_pose(self._value(context)[_POSE])),
+            lambda context, output: output.set_value(vector_to_pose(self._value(context)["wrist_pose"])),
             ticket,
         )
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, POLL_PERIOD - _AHEAD, self._update)
@@ -166,8 +169,8 @@ class GloveStream(PythonSystem):
                 return frame
         return None
 
-    def _value(self, context: Context) -> np.ndarray:
-        return context.get_discrete_state(self._state).value()
+    def _value(self, context: Context) -> np.void:
+        return context.get_discrete_state(self._state).value().view(_FIELDS)[0]
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         frame = self._newest()
@@ -175,19 +178,18 @@ class GloveStream(PythonSystem):
             return EventStatus.DidNothing()
         arrived = self._now()
         stamp = arrived if frame.time is None else frame.time
-        value = self._value(context).copy()
         sent = stamp if abs(arrived - stamp) < _SAME_CLOCK_S else arrived
         lateness = self.sender_clock.lateness(arrived, stamp, self._arrivals)
         self._arrivals = 0
         self.largest_drift = max(self.largest_drift, self.sender_clock.drift)
         self.late += lateness > MAX_LATENESS_S
+        value = discrete_state.get_mutable_value(self._state).view(_FIELDS)[0]  # starts as the present one
         if frame.p_HK is not None:
-            value[_KEYPOINTS] = frame.p_HK.ravel()
+            value["keypoints"] = frame.p_HK.ravel()
         if frame.X_WH is not None:
-            value[_POSE] = frame.X_WH
-        tracked = frame.p_HK is not None and lateness <= MAX_LATENESS_S
-        value[_VALID:] = tracked, stamp, sent, lateness
-        discrete_state.get_mutable_vector(self._state).SetFromVector(value)
+            value["wrist_pose"] = frame.X_WH
+        value["valid"] = frame.p_HK is not None and lateness <= MAX_LATENESS_S
+        value["stamp"], value["sent"], value["lateness"] = stamp, sent, lateness
         return EventStatus.Succeeded()
 
 
