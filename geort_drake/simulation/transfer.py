@@ -12,6 +12,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
+from geort_drake.simulation.person.goal import yaw_of
 from geort_drake.simulation.person.handling import PLACE
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
@@ -47,7 +48,7 @@ class CarriedState(NamedTuple):
     height: float  # height of its lowest point above where that belongs
     offset: float  # horizontal distance
     turn: float  # angle about the vertical, modulo the quarter turns of a square
-    tilt: float  # angle of its z axis from the vertical
+    tilt: float  # angle from the vertical of the one of its axes that is nearest to it
     touching: int  # number of fingers that touch it
 
 
@@ -70,12 +71,12 @@ def judgement(
     def carried_state(seen: Observation) -> CarriedState:
         X_WO = vector_to_pose(seen["object_pose"])
         offset = X_WO.translation() - X_WP.translation()
-        R = X_WP.rotation().matrix().T @ X_WO.rotation().matrix()
+        R_PO = X_WP.rotation().inverse() @ X_WO.rotation()
         return CarriedState(
             height=lowest_point(X_WO) - ground,
             offset=math.hypot(*offset[:2]),
-            turn=math.remainder(math.atan2(R[1, 0], R[0, 0]), math.pi / 2),
-            tilt=math.acos(min(max(X_WO.rotation().matrix()[2, 2], -1.0), 1.0)),
+            turn=math.remainder(yaw_of(R_PO), math.pi / 2),
+            tilt=math.acos(min(np.abs(X_WO.rotation().matrix()[2]).max(), 1.0)),
             touching=int(np.sum(seen["contact"] > TOUCH_FORCE)),
         )
 
@@ -120,8 +121,8 @@ class Transfer(NamedTuple):
         steps: the steps, in order.
         place: returns X_WP from scenario, side of the hand and generator.
         hover: height above its place from which the person lowers the object, m.
-        upright: whether the person turns the object exactly upright. Otherwise, a small tilt is left to what
-            it is put on: an object that hangs between two fingertips does not turn with the hand.
+        upright: whether the person turns the object upright before they put it down. Otherwise, they put it
+            down as it hangs in the hand, and it may lie on any side.
         add_fixtures: adds geometry that depends on the place.
     """
 

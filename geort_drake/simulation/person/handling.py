@@ -15,8 +15,6 @@ from geort_drake.systems.port_values import rotation_of_vector
 _UNBALANCED = 0.5
 # Distance ahead of a fingertip that leaves a surface, m.
 _LEAVING_DISTANCE = 0.02
-# An object that is put down with more tilt falls onto another side, rad.
-_MAX_TILT = math.radians(45)
 
 
 # -- where the fingertips go
@@ -251,18 +249,12 @@ def rise(m: Moment) -> RigidTransform | None:
     return RigidTransform([0, 0, m.config.lift_height]) @ m.seen.X_WB
 
 
-def _tilt_to_place(m: Moment) -> RotationMatrix:
-    """Returns the rotation in W by which the person turns the object upright, as it belongs at its place."""
-    assert m.seen.X_WP is not None  # tasks with a place show it
-    R = _tilt_to(m.seen.X_WO.rotation().col(2), m.seen.X_WP.rotation().col(2))
-    return R if m.settings.upright or R.ToAngleAxis().angle() > _MAX_TILT else RotationMatrix()
-
-
 def _to_place(m: Moment) -> RigidTransform:
     """Returns the seen motion from object to place: rotation and translation of the origin in W."""
     X_WO, X_WP = m.seen.X_WO, m.seen.X_WP
     assert X_WP is not None  # tasks with a place show it
-    R = _tilt_to_place(m)
+    upright = m.settings.upright
+    R = _tilt_to(X_WO.rotation().col(2), X_WP.rotation().col(2)) if upright else RotationMatrix()
     yaw, symmetry = yaw_of(X_WP.rotation()) - yaw_of(R @ X_WO.rotation()), m.goal.yaw_symmetry
     yaw = math.remainder(yaw, symmetry) if symmetry else 0.0
     return RigidTransform(RotationMatrix.MakeZRotation(yaw) @ R, X_WP.translation() - X_WO.translation())
