@@ -22,7 +22,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Makes the folder of results that the processes of this run share."""
+    """Makes the folder of results that the processes of this run share, and keeps Matplotlib's cache."""
+    # Tests give programs an empty cache, in which Matplotlib would list all fonts again, for seconds.
+    caches = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    os.environ.setdefault("MPLCONFIGDIR", os.path.join(caches, "matplotlib"))
     if not hasattr(config, "workerinput"):
         os.environ[FOLDER] = tempfile.mkdtemp(prefix="geort-drake-tests-")
         config.add_cleanup(lambda: shutil.rmtree(os.environ.pop(FOLDER), ignore_errors=True))
