@@ -15,7 +15,7 @@ def finger_shapes(arrays: Mapping[str, np.ndarray], F: int, n: int) -> Shapes:
 
     `columns` has the numbers of n joints among the F·k outputs.
     """
-    h, k = width_of(arrays, "bias0"), width_of(arrays, "bias2")
+    h, k = width_of(arrays, "weight0"), width_of(arrays, "weight2")
     return {
         "weight0": (F, 3, h),
         "bias0": (F, 1, h),
@@ -55,7 +55,7 @@ class MlpRetargeter(Retargeter):
         if len(set(columns)) != len(columns) or not (columns.min() >= 0 and columns.max() < outputs):
             raise MapError(f"weights: columns must be different numbers below {outputs}, not {columns}")
         if "residual_weight0" in arrays:
-            w |= require_arrays(arrays, residual_shapes(3 * F, width_of(arrays, "residual_bias0"), outputs))
+            w |= require_arrays(arrays, residual_shapes(3 * F, width_of(arrays, "residual_weight0"), outputs))
         else:
             w |= {name: np.zeros(shape) for name, shape in residual_shapes(3 * F, 0, outputs).items()}
         # Layers 0 and 2 of all networks are one matrix each; in layer 1 that would be mostly zeros.

@@ -32,7 +32,7 @@ def weight_shapes(arrays: Mapping[str, np.ndarray], F: int, n: int) -> Shapes:
     """
     fingers = finger_shapes(arrays, F, n)
     h, outputs = fingers["weight1"][-1], F * fingers["bias2"][-1]
-    r, m = width_of(arrays, "residual_bias0"), width_of(arrays, "shape_bias0")
+    r, m = width_of(arrays, "residual_weight0"), width_of(arrays, "shape_weight0")
     return {
         **fingers,
         **residual_shapes(3 * F + 3 * (F - 1), r, outputs),
