@@ -273,6 +273,15 @@ def test_unusable_values_are_named(old, new, message, tmp_path):
         propose(write_urdf(tmp_path, leader="mcp", changes={old: new}))
 
 
+def test_a_finger_without_limits_is_not_left_out(tmp_path):
+    """Otherwise the other fingers would get other names: without the thumb, the middle finger became it."""
+    path = write_mjcf(tmp_path)
+    text = re.sub(r'(name="thumb_\w+" axis="0 1 0") range="[^"]*"', r"\1", path.read_text("utf-8"))
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(HandError, match="the joints 'thumb_mcp', 'thumb_pip' have no position limits"):
+        propose(path)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

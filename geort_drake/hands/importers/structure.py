@@ -14,7 +14,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import BodyIndex, RevoluteJoint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake.errors import HandError, UnknownNameError, naming
+from geort_drake.errors import HandError, UnknownNameError, listed, naming
 from geort_drake.hands.assembly import detach_from_world, joint_paths, parse_model
 from geort_drake.hands.description import resolved_couplings
 from geort_drake.hands.model_files import read_couplings
@@ -24,6 +24,7 @@ MAX_FINGERS = 5
 _MIN_BRANCH_JOINTS = 2
 # This many joints in a row that move several chains form an arm; folding palms have one such joint.
 _MIN_ARM_JOINTS = 4
+_UNLIMITED = "has no position limits"  # why a joint is held
 _MIN_PALM_CHAINS = 3  # a link that carries this many chains is the palm of another hand
 
 Group = tuple[str, ...]
@@ -113,6 +114,13 @@ class HandStructure:
         leaders = {c.joint: c.follows for c in resolved_couplings(self.couplings)}
         self.held_joints = self._find_held_joints(fingers, leaders)
         chains = [self._chain(finger, leaders) for finger in fingers]
+        for finger, chain in zip(fingers, chains, strict=True):
+            if chain is None and (unlimited := [n for n in finger if self.held_joints.get(n) == _UNLIMITED]):
+                names = listed([f"'{name}'" for name in unlimited])
+                raise HandError(
+                    f"the joints {names} have no position limits, so their finger could not move; give each "
+                    "limits, or make it a fixed joint"
+                )
         self.chains = [chain for chain in chains if chain is not None]
         if len(self.chains) < 2:
             in_chains = set(itertools.chain(*fingers))
@@ -200,7 +208,7 @@ class HandStructure:
             elif not isinstance(joint, RevoluteJoint):
                 held[name] = "is not a revolute joint"
             elif not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
-                held[name] = "has no position limits"
+                held[name] = _UNLIMITED
             elif joint.position_lower_limit() >= joint.position_upper_limit():
                 held[name] = "has no range between its position limits"
         return held
