@@ -197,7 +197,7 @@ def goals(task: str) -> list:
         return find_task(task).plans(load_scenario(task=task), allegro().description)
 
 
-@cache
+@shared
 def retarget_and_play(method: str) -> tuple[Any, FreePlay]:
     """A map without training for the person who plays, and what that person sees of it in free play."""
     frames = play().fingertips([4, 8, 12, 16])

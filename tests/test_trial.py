@@ -15,6 +15,7 @@ from grasp_setup import (
     person_who_plays,
     planned_goal,
     resting_glove,
+    retarget_and_play,
     scenario_with,
 )
 from pydrake.math import RigidTransform
@@ -27,7 +28,6 @@ from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.simulation.free_play import keep_reached, seen_fingertips
 from geort_drake.simulation.person.goal import GraspGoal
-from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks.grasp import GraspPhase
 from geort_drake.simulation.trial import _POPULATION, TrialBuilder
@@ -170,14 +170,9 @@ def moved(goal: GraspGoal, shift: float) -> GraspGoal:
     return dc.replace(goal, p_BF_open=goal.p_BF_open + [0.0, 0.0, shift])
 
 
-@cache
-def free_play() -> FreePlay:
-    return seen_fingertips(centred_map(), allegro(), person_who_plays())
-
-
 def test_the_first_plan_that_free_play_reaches_is_kept():
     """Within its clearance; if none is, the nearest, with any error; unseen, the first."""
-    seen = free_play()
+    _, seen = retarget_and_play("affine_ik")
     near = dc.replace(planned_goal("cylinder"), p_BF_open=seen.p_BF[0], clearance=0.01)
     far, farther = moved(near, 0.3), moved(near, 0.5)
     kept, attainable = keep_reached([far, near, moved(near, 0.0)], seen)
@@ -190,7 +185,7 @@ def test_the_first_plan_that_free_play_reaches_is_kept():
 def test_free_play_shows_where_the_robots_fingertips_go():
     """They move through a map, stay with one that holds, and are not seen with one that fails."""
     person = person_who_plays()
-    seen = free_play().p_BF
+    seen = retarget_and_play("affine_ik")[1].p_BF
     assert seen.std(axis=0).min() > 1e-3 and len(seen) == 900
     still = seen_fingertips(METHODS["hold"].fit(allegro()), allegro(), person).p_BF
     assert still.std(axis=0).max() < 1e-9
