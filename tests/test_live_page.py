@@ -252,12 +252,14 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_end_of_a_task_offers_a_clip_of_the_attempt(browser, stub, address):
+@pytest.mark.parametrize("pictures", [1, 20])
+def test_the_end_of_a_task_offers_a_clip_of_the_attempt(browser, stub, address, pictures):
+    """A slow computer draws few pictures of it."""
     page = open_page(browser, stub, f"{address}/#key")
     page.wait_for_selector("body[data-state=waiting]")
     stub.send(engaged=True, following=True)
     unseen = np.full((21, 3), np.nan)
-    for number in range(20):
+    for number in range(pictures):
         stub.socket.send(
             np.concatenate([[0.1 * number, 1, 0, 0, 0, 0.01 * number, 0, 0.05], unseen.ravel()])
             .astype("<f4")

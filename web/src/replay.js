@@ -1,6 +1,8 @@
 // The attempt of a session as the page saw it: replayed in the view, and as a film to keep.
 
 const LONGEST_S = 180;
+const STANDING = 15; // pictures of the end
+const PICTURE_MS = 33;
 const GROUND = "#e6ebef"; // behind the robot, as on the page
 
 export class Replay {
@@ -83,6 +85,12 @@ export class Replay {
     const ended = new Promise((resolve) => (recorder.onstop = resolve));
     recorder.start();
     await this.play();
+    // An encoder keeps its last pictures until others follow; a slow computer has drawn hardly any.
+    for (let i = 0; i < STANDING; i += 1) {
+      context.drawImage(picture, 0, 0);
+      track.requestFrame();
+      await new Promise((resolve) => setTimeout(resolve, PICTURE_MS));
+    }
     recorder.stop();
     await ended;
     this.view.onDraw = undefined;
