@@ -148,6 +148,13 @@ def test_the_base_does_not_depend_on_which_joint_leads(leader, tmp_path):
     assert reach - p_BK == pytest.approx(2 * LENGTH - 0.006, abs=0.003)
 
 
+def test_fingers_whose_links_are_angled_are_not_taken_for_bent(tmp_path):
+    """With far joints in front of the near ones, a finger is longest where it is bent by 24 degrees."""
+    place = f'<origin xyz="0.0 0.0 {LENGTH}" rpy="0 0.0 0"/>'
+    changes = {place: place.replace("0.0 0.0", "0.02 0.0", 1)}
+    assert_upright(propose(write_urdf(tmp_path, changes=changes))[0], "left")
+
+
 @pytest.mark.parametrize("side", ["left", "right"])
 @pytest.mark.parametrize(("drawn", "leader"), [(0.7, ""), (1.2, ""), (0.7, "mcp"), (0.7, "pip")])
 def test_the_base_does_not_depend_on_how_far_fingers_are_bent_as_drawn(drawn, leader, side, tmp_path):

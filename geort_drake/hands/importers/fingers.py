@@ -220,10 +220,14 @@ def _shape(
             q = trials[longest if reach[longest] > (1 + _STRETCH_GAIN) * reach[0] else 0]
     (own, *others) = np.flatnonzero(coupling[joints[first]]).tolist()
     if movers and not others and own not in movers:
-        # The angle about the first joint's axis by which the joints beyond it start bent on average.
-        unbent = ((coupling @ (q - start))[joints][:, None] * axes)[bends][1:].sum(axis=0)
-        angle = float(unbent @ axes[first]) / len(beyond) / coupling[joints[first], own]
-        if abs(angle) > _BENT:
+        # How far the joints beyond the first were turned to stretch the finger, and from there to mid-range.
+        turned, closing = (
+            (angles[:, None] * axes)[bends][1:].sum(axis=0)
+            for angles in ((coupling @ (q - start))[joints], 0.5 * (lower + upper) - (coupling @ q)[joints])
+        )
+        angle = float(turned @ axes[first]) / len(beyond) / coupling[joints[first], own]
+        # If they were turned to the side to which they close, the start was straight or bent backwards.
+        if abs(angle) > _BENT and turned @ closing < 0.0:
             q[own] = np.clip(start[own] + angle, kinematics.lower[own], kinematics.upper[own])
     (axes,), (origins,), (tip,) = pose(q[None])
     angles = (coupling @ q)[joints]
