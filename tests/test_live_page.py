@@ -379,6 +379,17 @@ def test_the_mouse_moves_a_hand_and_the_state_is_told_without_contradictions(bro
         until(page, lambda words=words: words in page.inner_text("#headline"))
 
 
+def test_whoever_uses_the_mouse_is_not_asked_for_a_hand(browser, stub, address):
+    """Not even before a slow computer sends the first one: this page has no clock that would."""
+    page = new_page(browser)
+    page.add_init_script("window.setInterval = () => 0")
+    stub.attach(page)
+    page.goto(f"{address}/#key")
+    page.wait_for_selector("body[data-state=waiting]")
+    page.click("#pointer")
+    until(page, lambda: "The coloured hand appears" in page.inner_text("#headline"))
+
+
 def test_a_finger_on_a_touch_screen_moves_a_hand_and_taps_its_grips(browser, stub, address):
     """A finger that rests on the view does not close the hand; a tap on a grip does, and another opens it."""
     page = new_page(browser, viewport={"width": 400, "height": 800}, has_touch=True, is_mobile=True)

@@ -53,6 +53,7 @@ export function situation({ connected, welcome, state, device, failure, hand, re
     return say("waiting", "The camera is starting", "It takes a moment until your hand can be found.");
   if (wrong)
     return say("waiting", `That is your ${hand.side} hand`, `This robot has a ${side} one. Show your ${side} hand.`);
+  if (!seen && virtual) return say("waiting", "One moment", "The coloured hand appears beside the robot's.");
   if (!seen) return say("waiting", `Hold up your ${side} hand`, "Show the whole hand, with the palm to the camera.");
   if (refusal) return say("tracking", "Not yet", refusal);
   if (welcome.robot === "real") return say("tracking", "Press Engage to take control", "The real robot will move.");
