@@ -149,9 +149,9 @@ def test_the_base_does_not_depend_on_which_joint_leads(leader, tmp_path):
 
 
 def test_fingers_whose_links_are_angled_are_not_taken_for_bent(tmp_path):
-    """With far joints in front of the near ones, a finger is longest where it is bent by 24 degrees."""
+    """With far joints in front of the near ones, a finger is longest where it is bent by 26 degrees."""
     place = f'<origin xyz="0.0 0.0 {LENGTH}" rpy="0 0.0 0"/>'
-    changes = {place: place.replace("0.0 0.0", "0.02 0.0", 1)}
+    changes = {place: place.replace("0.0 0.0", "0.022 0.0", 1)}
     assert_upright(propose(write_urdf(tmp_path, changes=changes))[0], "left")
 
 
