@@ -85,25 +85,32 @@ def test_every_picture_of_the_docs_can_be_made_anew(monkeypatch):
 def test_gates_tell_a_right_order_from_chance_and_from_a_reversed_one():
     """Ties count for neither."""
     ordering = importlib.import_module("studies.gates").ordering
-
-    def of(*scores: float) -> dict:
-        return ordering(
-            [
-                {"kind": "servo", "seed": seed, "amount": float(amount), "score": score}
-                for seed in range(4)
-                for amount, score in enumerate(scores)
-            ],
-            ["servo"],
-            range(len(scores)),
-        )
-
-    right, reversed_, tied = of(1.0, 1.0, 0.8, 0.2), of(0.2, 0.5, 0.8, 1.0), of(1.0, 1.0, 1.0, 1.0)
-    assert right["tau"] == pytest.approx(5 / 6, abs=1e-3) and right["p"] < 0.01 < right["p_reversed"]
-    assert reversed_["tau"] == -1 and reversed_["p_reversed"] < 0.01
-    assert tied["tau"] == 0 and tied["p"] == tied["p_reversed"] == 1
+    tau, p = ordering(np.tile([1.0, 1.0, 0.8, 0.2], (4, 1)))
+    assert tau == pytest.approx(5 / 6, abs=1e-3) and p < 0.01
+    tau, p = ordering(np.tile([0.2, 0.5, 0.8, 1.0], (4, 1)))
+    assert tau == -1 and p > 0.99
+    tau, p = ordering(np.ones((4, 4)))
+    assert tau == 0 and p == 1
 
 
-def test_worsened_maps_mix_turn_or_shrink_the_motion_of_fingers():
+def test_a_task_speaks_for_people_to_whom_it_reveals_a_fault_of_two_families():
+    """Here, shrinking spoils two maps, and turning another map of which it is the only fault."""
+    gates = importlib.import_module("studies.gates")
+    spoiled = {("affine_ik", "shrunk"), ("geort", "shrunk"), ("universal", "turned")}
+    rows = []
+    for key in gates.keys_of(["keys"], ["adaptive", "servo"], seeds=4, scripted_seeds=2):
+        fault, _, size = key.condition.partition("=")
+        spoils = (key.method, fault) in spoiled and (key.kind == "adaptive" or key.method == "geort")
+        score = 1.0 - gates.FAULTS[fault].sizes.index(float(size)) / 3 if spoils else 1.0
+        result = {"success": key.method != "hold", "score": score, "completion_time": 9.0, "outcome": ""}
+        rows.append({**key._asdict(), **result, "timeout": 30.0})
+    text = gates.report(rows)
+    assert "| keys | 2 of 2 | 0 of 2 |" in text
+    assert "| keys | adaptive | affine_ik, geort, universal | yes |" in text
+    assert "| keys | servo | geort | no |" in text
+
+
+def test_worsened_maps_mix_turn_shrink_open_or_shake_the_motion_of_fingers():
     gates = importlib.import_module("studies.gates")
     rest, moved = np.zeros((4, 3)), np.zeros((4, 3))
     moved[1] = 0.01, 0.0, 0.0  # the index finger, out of the palm
@@ -112,10 +119,22 @@ def test_worsened_maps_mix_turn_or_shrink_the_motion_of_fingers():
         return p_HF
 
     echo.joint_names = ()
-    mixed = gates.WorsenedMap(echo, rest, range(4), gates.MIXED, 0.5, 0)(moved)
-    np.testing.assert_allclose(mixed, [[0, 0, 0], moved[1], 0.25 * moved[1], 0.25 * moved[1]])
-    turned = gates.WorsenedMap(echo, rest, range(4), gates.TURNED, 60.0, 0)(moved)
+
+    def answer(fault: str, size: float, rest: np.ndarray = rest, p_HF: np.ndarray = moved) -> np.ndarray:
+        return gates.WorsenedMap(echo, rest, range(4), fault, size, 0)(p_HF)
+
+    np.testing.assert_allclose(answer("mixed", 0.5), [[0, 0, 0], moved[1], 0.25 * moved[1], 0.25 * moved[1]])
+    turned = answer("turned", 60.0)
     assert turned[1, 0] == pytest.approx(0.005) and np.linalg.norm(turned[1]) == pytest.approx(0.01)
     np.testing.assert_allclose(turned[[0, 2, 3]], 0.0)
-    shrunk = gates.WorsenedMap(echo, rest, range(4), gates.SHRUNK, 0.75, 0)(moved)
-    np.testing.assert_allclose(shrunk, 0.25 * moved)
+    np.testing.assert_allclose(answer("shrunk", 0.75), 0.25 * moved)
+    # Fingers 100 mm apart; the second comes to the thumb, the third half-way.
+    apart = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
+    pinch = np.array([[0.0, 0, 0], [0.01, 0, 0], [0, 0.04, 0], [0, 0, 0.1]])
+    opened = answer("gapped", 20.0, apart, pinch) - pinch
+    np.testing.assert_allclose(opened, [[0, 0, 0], [0.02, 0, 0], [0, 0.01, 0], [0, 0, 0]], atol=1e-12)
+    shaken = gates.WorsenedMap(echo, rest, range(4), "jittering", 2.0, 0)
+    noise = np.array([shaken(moved) - moved for _ in range(500)])
+    assert noise.std() == pytest.approx(0.002, rel=0.05)
+    shaken.reset()
+    np.testing.assert_array_equal(shaken(moved) - moved, noise[0])
