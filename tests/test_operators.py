@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from grasp_setup import reach_goal
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from shared import synthesized
 
-from geort_drake import synthesize_play
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 from geort_drake.simulation.person.config import OperatorConfig
@@ -39,7 +39,7 @@ COUPLING = np.array([1.0, 2 / 3, 2 / 3, 2 / 3, 2 / 3])
 @cache
 def own_play() -> np.ndarray:
     """Fingertips (T, 4, 3), m, of half a minute of the person's free play."""
-    return synthesize_play(0, duration_s=30, rate_hz=30).fingertips([4, 8, 12, 16])
+    return synthesized(0, 30.0, 30.0).fingertips([4, 8, 12, 16])
 
 
 class StandInWorld:
