@@ -15,9 +15,10 @@ const WORLD = new THREE.Matrix4().makeBasis(
   new THREE.Vector3(0, 1, 0),
 );
 // The person's hand is drawn to the right of the robot's. The distance is this many metres, but at most this share of
-// the viewing distance, so that narrow pictures show both.
+// the viewing distance, and at most this share of half of what a picture shows.
 const HAND_DISTANCE = 0.24;
 const HAND_DISTANCE_SHARE = 0.28;
+const HAND_PICTURE_SHARE = 0.8;
 const EDGES = 32; // per circle
 const HIGHLIGHT = "#00a892";
 // Position of the scene's centre in a headset, m: ahead of the person, who looks past the arm's right side.
@@ -78,8 +79,7 @@ export class View {
     const { eye, target } = this.description.views[name];
     this.target.set(...target).applyMatrix4(WORLD);
     this.controls.target.copy(this.target);
-    // A picture that is higher than wide shows as much from farther away.
-    const far = Math.max(1, 1 / this.camera.aspect);
+    const far = farther(this.camera.aspect);
     this.camera.position.set(...eye).applyMatrix4(WORLD).sub(this.target).multiplyScalar(far).add(this.target);
     this.controls.update();
     this.stale = true;
@@ -160,7 +160,9 @@ export class View {
       const { eye, target } = this.description.views[name];
       return new THREE.Vector3(...target).sub(new THREE.Vector3(...eye));
     });
-    const distance = Math.min(HAND_DISTANCE, HAND_DISTANCE_SHARE * present.length());
+    const { aspect, fov } = this.camera;
+    const across = present.length() * farther(aspect) * aspect * Math.tan(THREE.MathUtils.degToRad(fov / 2));
+    const distance = Math.min(HAND_DISTANCE, HAND_DISTANCE_SHARE * ahead.length(), HAND_PICTURE_SHARE * across);
     return ahead.cross(new THREE.Vector3(0, 0, 1)).setLength(distance);
   }
 
@@ -198,6 +200,9 @@ export class View {
     this.onDraw?.();
   }
 }
+
+/** How much farther away a picture that is higher than wide shows as much. */
+const farther = (aspect) => Math.max(1, 1 / aspect);
 
 function makeRenderer(canvas) {
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
