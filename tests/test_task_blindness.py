@@ -25,6 +25,7 @@ HARMLESS = {
         "settings",
         "people.synthetic.hand",
         "people.synthetic.solid",
+        "people.checks",
         "people.keypoints",
         "people.recording",
     ),
