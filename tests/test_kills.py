@@ -22,7 +22,7 @@ from shared import synthesized
 from geort_drake import GloveReplay, Recording, load_retargeter
 from geort_drake.benchmark.log import read_rows
 from geort_drake.cli import run_command
-from geort_drake.people.recording_log import RecordingLog
+from geort_drake.people.recording_log import RecordingLog, recover
 from geort_drake.systems.glove import GloveRecorder
 
 NEW = multiprocessing.get_context("spawn")  # processes that inherit no threads, random numbers or caches
@@ -127,6 +127,8 @@ def test_a_killed_live_session_loses_at_most_a_second(tmp_path):
         time.sleep(0.01)
     session.kill()
     session.join()
-    recording = Recording.load(RecordingLog(path, {"side": "right"}).recovered)
+    with pytest.warns(UserWarning, match=r"session\.npz: of a session that was interrupted"):
+        recover(tmp_path)
+    recording = Recording.load(path)
     assert newest.value - recording.t[-1] < 1.0 + 0.02
     np.testing.assert_array_equal(recording.p_HK, play().p_HK[: len(recording)])

@@ -11,7 +11,7 @@ from glove_files import moving, write_own
 from geort_drake import Recording, read_recording, synthesize_play
 from geort_drake.cli import run_command
 from geort_drake.errors import OutputError, RecordingError, UsageError
-from geort_drake.people.recording_log import RecordingLog
+from geort_drake.people.recording_log import RecordingLog, recover
 from geort_drake.people.synthetic.population import sample_person
 
 
@@ -129,27 +129,30 @@ def test_the_joints_of_a_robot_are_kept(tmp_path):
     np.testing.assert_array_equal(Recording.load(tmp_path / "session.npz").robot, q)
 
 
-def test_frames_of_a_killed_session_become_a_recording_of_their_own(tmp_path):
-    """Also those before a last row that was cut off; earlier recordings stay."""
-    path = tmp_path / "session.npz"
+def test_frames_of_a_killed_session_become_its_recording(tmp_path):
+    """Also those before a last row that was cut off; a session that goes on keeps its log."""
+    path, other = tmp_path / "session.npz", RecordingLog(tmp_path / "other.npz", PLAY.metadata)
     append(RecordingLog(path, PLAY.metadata), range(300))  # never finished, as after kill -9
     with open(tmp_path / "session.npz.log", "ab") as file:
         file.write(b"12345")
-    again = RecordingLog(path, PLAY.metadata)
-    assert again.recovered == tmp_path / "session-interrupted-1.npz"
-    np.testing.assert_array_equal(read_recording(again.recovered).p_HK, PLAY.p_HK[:300])
-    append(again, range(100))
-    third = RecordingLog(path, PLAY.metadata)
-    assert third.recovered == tmp_path / "session-interrupted-2.npz"
-    append(third, range(200))
-    assert third.finish()
-    names = ["session-interrupted-1.npz", "session-interrupted-2.npz", "session.npz"]
-    assert sorted(os.listdir(tmp_path)) == names
+    append(other, range(100))
+    with pytest.warns(UserWarning) as told:
+        recover(tmp_path)
+    assert [str(each.message).split("/")[-1] for each in told] == [
+        "other.npz.log: another process is writing to it",
+        "session.npz: of a session that was interrupted",
+    ]
+    np.testing.assert_array_equal(read_recording(path).p_HK, PLAY.p_HK[:300])
+    assert other.finish()
+    assert sorted(os.listdir(tmp_path)) == ["other.npz", "session.npz"]
+    recover(tmp_path / "none")
 
 
 def test_a_damaged_log_is_named_and_kept(tmp_path):
     (tmp_path / "session.npz.log").write_bytes(b"[1]x")
-    with pytest.raises(RecordingError, match=r"session\.npz\.log: not the log of a recording"):
+    with pytest.warns(UserWarning, match=r"session\.npz\.log: not the log of a recording"):
+        recover(tmp_path)
+    with pytest.raises(OutputError, match=r"session\.npz\.log: an earlier session left this file"):
         RecordingLog(tmp_path / "session.npz", PLAY.metadata)
     assert (tmp_path / "session.npz.log").read_bytes() == b"[1]x"
     with pytest.raises(RecordingError, match=r"saved as \.npz, not '\.csv'"):
@@ -160,14 +163,16 @@ def test_a_full_disk_ends_the_recording_with_a_warning(tmp_path, monkeypatch):
     """Later frames are dropped, the error comes at the end, and what was written stays."""
     log = RecordingLog(tmp_path / "session.npz", PLAY.metadata)
     append(log, range(100))
+    log._file.close()
     monkeypatch.setattr(log, "_file", open("/dev/full", "wb", buffering=0))
     with pytest.warns(RuntimeWarning, match="cannot be written: No space left"):
         append(log, range(100, 200))
     assert log.failed
     with pytest.raises(OutputError, match="No space left"):
         log.finish()
-    again = RecordingLog(tmp_path / "session.npz", PLAY.metadata)
-    assert len(Recording.load(again.recovered)) == 100
+    with pytest.warns(UserWarning, match="interrupted"):
+        recover(tmp_path)
+    assert len(Recording.load(tmp_path / "session.npz")) == 100
 
 
 @pytest.fixture(scope="module")

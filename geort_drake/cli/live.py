@@ -81,14 +81,13 @@ class Live(Command, ScenarioOptions):
             retargeter_of,
             say_state,
         )
-        from geort_drake.console import warn
         from geort_drake.live.glove_stream import GloveStream
         from geort_drake.live.robot_buses import open_bus
         from geort_drake.live.robots import RobotLink, SimulatedRobot, open_meshcat
         from geort_drake.live.session import EnterKey, run_session, stopping
         from geort_drake.live.teleoperation import make_teleoperation
         from geort_drake.live.transports import is_address, open_receiver
-        from geort_drake.people.recording_log import RecordingLog
+        from geort_drake.people.recording_log import RecordingLog, recover
         from geort_drake.simulation.following import robot_model
         from geort_drake.systems.glove import GloveRecorder
 
@@ -98,6 +97,8 @@ class Live(Command, ScenarioOptions):
         require(0 <= self.port < 65536, "--port", "a port from 0 to 65535", self.port)
         if self.meshcat and self.robot != "simulation":
             raise UsageError("--meshcat shows the simulation; give it to `geort-drake live stand-in-robot`")
+        if self.record is not None and self.glove != "web":
+            recover(self.record.parent)
         if self.record is not None and self.record.is_file():
             raise OutputError(f"{self.record} exists; choose another file for the recording")
         scenario = self.load_scenario()
@@ -125,8 +126,6 @@ class Live(Command, ScenarioOptions):
             recorder = None
             if self.record:
                 log = RecordingLog(self.record, {"side": side, "source": "teleoperation"})
-                if (old := log.recovered) is not None:
-                    warn(f"an earlier session to {self.record} was interrupted; it is kept as {old}")
                 recorder = GloveRecorder(scenario.retargeting.period)
                 recorder.switch(log)
                 # The recording is finished even if the session ends with an error.

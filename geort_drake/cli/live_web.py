@@ -19,6 +19,7 @@ from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.serve import find_page, open_server
 from geort_drake.live.web.session import Setup, WebTeleoperation, mount_of
 from geort_drake.people.recording import Recording
+from geort_drake.people.recording_log import recover
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.store import shipped_maps
@@ -49,6 +50,7 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, link
         return _setup(options, other, load_hand(hand), False)
 
     folder = options.record or _RECORDINGS
+    recover(folder)
     station = OperatorStation(
         setup.about, play=lambda: RecordedHand(_recorded_hand(folder, station.about.side))
     )

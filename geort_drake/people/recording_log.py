@@ -1,8 +1,7 @@
 """Saves a recording while it is made: frames are appended to a plain file, which becomes the recording.
 
-The file is `NAME.npz.log` next to `NAME.npz`: a line of JSON with the metadata and the row's length, then
-rows of float64: t, p_HK (63), valid, X_WH (7), joints of a robot. After a crash, the next session that
-records to the same name turns it into a recording of its own.
+The file is `NAME.npz.log` next to `NAME.npz`: a line of JSON with the metadata, then rows of float64: t,
+p_HK (63), valid, X_WH (7), joints of a robot.
 """
 
 import json
@@ -14,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.errors import OutputError, RecordingError
-from geort_drake.files import writing
+from geort_drake.errors import GeortError, OutputError, RecordingError
+from geort_drake.files import lock, writing
 from geort_drake.people.recording import Recording
 
 
@@ -23,7 +22,6 @@ class RecordingLog:
     """Appends frames to a file, and turns it into a recording at the end.
 
     Attributes:
-        recovered: the file into which an interrupted session's frames were saved, or None.
         failed: whether frames could not be written; later ones are dropped.
 
     Args:
@@ -31,25 +29,21 @@ class RecordingLog:
         metadata: metadata of the recording.
 
     Raises:
-        OutputError: the disk is full, or the folder is not writable.
-        RecordingError: the path has another suffix, or an interrupted session's file cannot be read.
+        OutputError: the disk is full, the folder is not writable, or another session's log is in the way.
+        RecordingError: the path has another suffix.
     """
 
     def __init__(self, path: str | os.PathLike, metadata: dict):
         self.path, self._log = Path(path), Path(f"{path}.log")
         if self.path.suffix != ".npz":
             raise RecordingError(f"{path}: a recording is saved as .npz, not '{self.path.suffix}'")
-        self.recovered: Path | None = None
         self._error: OutputError | None = None
         with writing(self.path):
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            if self._log.exists() and (recording := read_log(self._log)) is not None:
-                names = (
-                    self.path.with_name(f"{self.path.stem}-interrupted-{n}.npz") for n in range(1, 10**6)
-                )
-                self.recovered = next(name for name in names if not name.exists())
-                recording.save(self.recovered)
-            self._file = self._log.open("wb", buffering=0)
+            self._file = self._log.open("ab", buffering=0)
+            lock(self._file.fileno(), self._log)
+            if self._file.tell() > 0:
+                raise OutputError(f"{self._log}: an earlier session left this file; move it away")
             self._file.write(json.dumps(metadata).encode() + b"\n")
 
     @property
@@ -87,14 +81,36 @@ class RecordingLog:
         Raises:
             OutputError: frames or the recording could not be written. What was written stays in the log.
         """
-        self._file.close()
-        if self._error is not None:
-            raise self._error
-        if (recording := read_log(self._log)) is not None:
-            recording.metadata.update(metadata or {})
-            recording.save(self.path)
-        self._log.unlink()
-        return recording is not None
+        try:
+            if self._error is not None:
+                raise self._error
+            return _save(self._log, metadata or {})
+        finally:
+            self._file.close()  # and with it the lock
+
+
+def recover(folder: Path) -> None:
+    """Turns the logs that killed sessions left in a folder into their recordings, with a warning for each.
+
+    Logs of sessions that go on, and those that cannot be read, stay.
+    """
+    for log in sorted(folder.glob("*.npz.log")):
+        try:
+            with writing(log), log.open("rb") as file:
+                lock(file.fileno(), log)
+                if _save(log, {}):
+                    warnings.warn(f"{log.with_suffix('')}: of a session that was interrupted", stacklevel=2)
+        except GeortError as error:
+            warnings.warn(f"not recovered: {error}", stacklevel=2)
+
+
+def _save(log: Path, metadata: Mapping[str, Any]) -> bool:
+    recording = read_log(log)
+    if recording is not None:
+        recording.metadata.update(metadata)
+        recording.save(log.with_suffix(""))
+    log.unlink()
+    return recording is not None
 
 
 def read_log(path: Path) -> Recording | None:
