@@ -371,6 +371,25 @@ def task_table(task: str) -> str:
     return "\n".join(rows)
 
 
+def people_table() -> str:
+    """A Markdown table of successes of other people, by method and task, from docs/results/people.csv."""
+    with open(ROOT / "docs" / "results" / "people.csv", encoding="utf-8", newline="") as file:
+        trials = list(csv.DictReader(file))
+    people = sorted({row["person"] for row in trials})
+    rows = [
+        f"| method | fitted to | {' | '.join(TASKS)} | all | by person |",
+        f"|---|---|{'---|' * len(TASKS)}---|---|",
+    ]
+    for method, fitted in dict.fromkeys((row["method"], row["fitted_to"]) for row in trials):
+        own = [row for row in trials if (row["method"], row["fitted_to"]) == (method, fitted)]
+        groups = [[row for row in own if row["task"] == task] for task in TASKS]
+        done = [sum(row["success"] == "1" for row in group) for group in [*groups, own]]
+        cells = [f"{k} of {len(group)}" for k, group in zip(done, [*groups, own], strict=True)]
+        persons = [sum(row["success"] == "1" for row in own if row["person"] == person) for person in people]
+        rows.append(f"| `{method}` | {fitted} | {' | '.join(cells)} | {', '.join(map(str, persons))} |")
+    return "\n".join(rows)
+
+
 def _trial_counts(column: str) -> dict[str, dict[str, tuple[int, int]]]:
     """Returns the numbers of successes and of trials by method and by a column."""
     counts: dict[str, dict[str, tuple[int, int]]] = {}
