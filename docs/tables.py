@@ -385,8 +385,9 @@ def people_table() -> str:
         groups = [[row for row in own if row["task"] == task] for task in TASKS]
         done = [sum(row["success"] == "1" for row in group) for group in [*groups, own]]
         cells = [f"{k} of {len(group)}" for k, group in zip(done, [*groups, own], strict=True)]
-        persons = [sum(row["success"] == "1" for row in own if row["person"] == person) for person in people]
-        rows.append(f"| `{method}` | {fitted} | {' | '.join(cells)} | {', '.join(map(str, persons))} |")
+        by_person = [[row for row in own if row["person"] == person] for person in people]
+        persons = [str(sum(row["success"] == "1" for row in group)) if group else "–" for group in by_person]
+        rows.append(f"| `{method}` | {fitted} | {' | '.join(cells)} | {', '.join(persons)} |")
     return "\n".join(rows)
 
 

@@ -127,7 +127,7 @@ def test_a_killed_live_session_loses_at_most_a_second(tmp_path):
         time.sleep(0.01)
     session.kill()
     session.join()
-    with pytest.warns(UserWarning, match=r"session\.npz: of a session that was interrupted"):
+    with pytest.warns(UserWarning, match=r"session\.npz, the recording of a session that was interrupted"):
         recover(tmp_path)
     recording = Recording.load(path)
     assert newest.value - recording.t[-1] < 1.0 + 0.02

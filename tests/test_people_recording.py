@@ -140,7 +140,7 @@ def test_frames_of_a_killed_session_become_its_recording(tmp_path):
         recover(tmp_path)
     assert [str(each.message).split("/")[-1] for each in told] == [
         "other.npz.log: another process is writing to it",
-        "session.npz: of a session that was interrupted",
+        "session.npz, the recording of a session that was interrupted",
     ]
     np.testing.assert_array_equal(read_recording(path).p_HK, PLAY.p_HK[:300])
     assert other.finish()

@@ -99,7 +99,10 @@ def recover(folder: Path) -> None:
             with writing(log), log.open("rb") as file:
                 lock(file.fileno(), log)
                 if _save(log, {}):
-                    warnings.warn(f"{log.with_suffix('')}: of a session that was interrupted", stacklevel=2)
+                    saved = log.with_suffix("")
+                    warnings.warn(
+                        f"saved {saved}, the recording of a session that was interrupted", stacklevel=2
+                    )
         except GeortError as error:
             warnings.warn(f"not recovered: {error}", stacklevel=2)
 
