@@ -1,5 +1,5 @@
 # make grasp: install into .venv, simulate grasps, show the results; ARGS="--retargeter geort" trains a retargeter first.
-# make test:  install the test extra and run the tests but the slow ones, which takes five to eight minutes on
+# make test:  install the test extra and run the tests but the slow ones, which takes three to six minutes on
 #             two cores; ARGS="-k planner" runs some of them.
 # make test-all: run the slow ones, too, see CONTRIBUTING.md.
 # make test-lowest, make test-newest: the same with the oldest and the newest versions of the dependencies,

@@ -374,6 +374,7 @@ def test_the_mouse_moves_a_hand_and_the_state_is_told_without_contradictions(bro
         ({"following": True, "status": "arm held: the wrist is too fast"}, "The arm waits"),
         ({"status": "held: the glove lost the hand", "slow": True}, "This computer is too slow."),
         ({"status": "held: no newer keypoints; messages arrive but are refused: too far"}, "Too far."),
+        ({"status": "relaxing: no newer keypoints arrived in time"}, "This computer is too slow."),
     ):
         stub.send(engaged=True, **state)
         until(page, lambda words=words: words in page.inner_text("#headline"))

@@ -46,7 +46,7 @@ export function situation({ connected, welcome, state, device, failure, hand, re
   if (engaged)
     return following
       ? say("engaged", "The robot follows your hand", refusal || (state.slow ? SLOW : plain(state.status)))
-      : say("engaged", "The robot waits", refusal || plain(state.status));
+      : say("engaged", "The robot waits", refusal || plain(state.status, virtual));
   if (!device && failure) return say("waiting", "No hand to follow", "Choose another way to move the robot.");
   if (!device) return say("waiting", `Hold up your ${side} hand`, "Use the camera, or choose another way to move the robot.");
   if (device === "camera" && hand.t === undefined)
@@ -98,10 +98,14 @@ const PLAIN = [
   ["disengaged", "Press Engage when you are ready."],
 ];
 
+// States in which no hand arrives. Where the page makes the hand, only a slow computer can be the reason.
+const UNSEEN = ["relaxing", "frozen", "held: no newer", "held: the glove lost"];
+
 /** The server's state in words for a person; reasons for a refusal and what is unknown stand as they are. */
-function plain(status = "") {
+function plain(status = "", virtual = false) {
   const reason = status.split("; messages arrive but are refused: ")[1];
   if (reason) return sentence(reason);
+  if (virtual && UNSEEN.some((words) => status.startsWith(words))) return SLOW;
   return PLAIN.find(([words]) => status.startsWith(words))?.[1] ?? sentence(status);
 }
 
