@@ -37,6 +37,7 @@ from geort_drake.simulation.task import Outcome
 from geort_drake.simulation.tasks import cap, find_task, keys, peg, pick_place, task_names
 from geort_drake.simulation.tasks.keys import HOVER, PITCH, TRAVEL, KeysSettings
 from geort_drake.simulation.transfer import judgement
+from geort_drake.systems.glove import GloveReplay
 from geort_drake.systems.port_values import pose_to_vector
 
 
@@ -364,6 +365,19 @@ def test_every_task_has_a_scripted_robot(monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "studies")
     robots = {name: importlib.import_module(f"scripted.{name}") for name in task_names()}
     assert all(callable(robot.plans) and callable(robot.scripted) for robot in robots.values())
+
+
+def test_a_scripted_motion_is_a_hands_and_tells_the_robot_its_fingertips(monkeypatch):
+    """A replay refuses keypoints of no hand."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "studies")
+    scripts, goal = importlib.import_module("scripted.oracle"), planned_goal("cylinder")
+    robot = scripts.oracle("allegro_right")
+    motion = scripts.script(scenario_with("cylinder"), robot, goal, 0.02)
+    assert GloveReplay(motion).GetOutputPort("keypoints").size() == 63
+    robot.reset()
+    for _ in range(20):
+        q = robot(motion.p_HK[0].astype(float))
+    np.testing.assert_allclose(allegro().fingertips(q), goal.p_BF_open, atol=0.002)
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.person.goal import GraspGoal
@@ -30,10 +31,12 @@ CARRYING = 1.5  # s, duration of carrying the object above its place, and of low
 HEIGHT = 0.15  # m, of the lift
 ITERATIONS, LARGEST_STEP, DAMPING = 10, 0.1, 5e-3  # of inverse kinematics; steps in rad, damping in m/rad
 PULL = 0.1  # fraction of the distance to the middle of the joint ranges per iteration
+# A replay accepts only a person's hand. Its fingertips are therefore displaced by this share of the targets.
+SHARE = 0.05
 
 
 class Oracle:
-    """Inverse kinematics in place of a retargeter: keypoints are the robot's target fingertips in B.
+    """Inverse kinematics in place of a retargeter: keypoints encode the robot's target fingertips in B.
 
     Redundant fingers prefer the middle of their joint ranges. Without this, they drift while they squeeze,
     and open along another path than they closed.
@@ -42,6 +45,8 @@ class Oracle:
     def __init__(self, hand: Hand):
         self.description, self.joint_names = hand.description, hand.joint_names
         self._hand = NumpyKinematics(hand.kinematics())
+        person = HumanHand.measured_adult()
+        self._p_HK = person.keypoints(0.5 * (person.lower + person.upper))
         # Not the default posture, whose straight fingers are singular.
         self._start = 0.5 * (hand.lower + hand.upper)
         joints = [hand.plant.GetJointByName(name, hand.instance) for name in hand.joint_names]
@@ -58,8 +63,14 @@ class Oracle:
         # The movement peaks at 15/8 of its mean speed.
         return max(CLOSING, float((1.875 * np.abs(q_touch - q_open) / self.speed).max()))
 
+    def keypoints(self, p_BF: np.ndarray) -> np.ndarray:
+        """Returns the keypoints (21, 3), m in H, of target fingertips (F, 3), m in B."""
+        p_HK = self._p_HK.copy()
+        p_HK[self.description.human_keypoints] += SHARE * p_BF
+        return p_HK
+
     def __call__(self, p_HK: np.ndarray) -> np.ndarray:
-        targets = np.asarray(p_HK, float)[self.description.human_keypoints]
+        targets = (p_HK - self._p_HK)[self.description.human_keypoints] / SHARE
         self._q = self._solve(self._q, targets, ITERATIONS)
         return self._q
 
@@ -126,7 +137,7 @@ def script(
         share = minimum_jerk((time - THERE) / (closed - THERE)) * (1 - opened)
         depth = squeeze * minimum_jerk((time - closed) / SQUEEZING) * (1 - opened)
         p_BF = goal.p_BF_open + share * (touching - goal.p_BF_open) + depth * inwards
-        keypoints[number, oracle.description.human_keypoints] = p_BF
+        keypoints[number] = oracle.keypoints(p_BF)
         started = [movement for movement in movements if time >= movement.t_start]
         poses.append(pose_to_vector(started[-1].pose(time)))
     return Recording(t, keypoints, np.full(len(t), True), np.array(poses), {"side": oracle.description.side})
