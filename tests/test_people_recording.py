@@ -148,6 +148,18 @@ def test_frames_of_a_killed_session_become_its_recording(tmp_path):
     recover(tmp_path / "none")
 
 
+def test_recovery_replaces_no_recording(tmp_path):
+    path = tmp_path / "session.npz"
+    append(RecordingLog(path, PLAY.metadata), range(300))  # never finished, as after kill -9
+    PLAY.save(path)
+    before = path.read_bytes()
+    with pytest.warns(
+        UserWarning, match=r"not recovered: .*session\.npz\.log: session\.npz exists; move one"
+    ):
+        recover(tmp_path)
+    assert path.read_bytes() == before and (tmp_path / "session.npz.log").exists()
+
+
 def test_a_damaged_log_is_named_and_kept(tmp_path):
     (tmp_path / "session.npz.log").write_bytes(b"[1]x")
     with pytest.warns(UserWarning, match=r"session\.npz\.log: not the log of a recording"):

@@ -92,14 +92,16 @@ class RecordingLog:
 def recover(folder: Path) -> None:
     """Turns the logs that killed sessions left in a folder into their recordings, with a warning for each.
 
-    Logs of sessions that go on, and those that cannot be read, stay.
+    Logs of sessions that go on, those that cannot be read, and those whose recording exists stay.
     """
     for log in sorted(folder.glob("*.npz.log")):
+        saved = log.with_suffix("")
         try:
             with writing(log), log.open("rb") as file:
                 lock(file.fileno(), log)
+                if saved.exists():
+                    raise OutputError(f"{log}: {saved.name} exists; move one of them away")
                 if _save(log, {}):
-                    saved = log.with_suffix("")
                     warnings.warn(
                         f"saved {saved}, the recording of a session that was interrupted", stacklevel=2
                     )
