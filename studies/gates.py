@@ -2,13 +2,14 @@
 
 python studies/gates.py --tasks keys --output gates
 
-A scripted robot must succeed in at least 90 % of the trials, and a hand that holds still in at most 5 %. Then
-people of each kind do the task through three maps of different families, and through copies of each with
-faults of known sizes. `FAULTS` states faults and sizes, before anything runs. A fault is revealed if scores
-fall as it grows: Kendall's tau must be positive in a permutation test within seeds, with p < 0.05 after
-Holm's correction for all tests of the run. A task speaks for a kind of person if it reveals a fault of at
-least two families. Trials are rows of trials.jsonl, as in a benchmark; the same command resumes an
-interrupted run, and adds tasks and seeds. The scripted robots are in `studies/scripted`.
+A scripted robot must succeed in at least 90 % of the trials, and a hand that holds still in at most 5 %.
+Then people of each kind do the task through three maps of different families, and through copies of each
+with faults of known sizes. `FAULTS` states faults and sizes, before anything runs. A fault is revealed if
+scores fall as it grows: Kendall's tau must be positive in a permutation test within seeds, with p < 0.05
+after Holm's correction. A task speaks for a kind of person if it reveals a fault of at least two families.
+Each task and kind is a claim of its own, so the correction is for the fifteen tests that decide it. Trials
+are rows of trials.jsonl, as in a benchmark; the same command resumes an interrupted run, and adds tasks and
+seeds. The scripted robots are in `studies/scripted`.
 """
 
 import argparse
@@ -239,7 +240,7 @@ def tests_of(frame: pd.DataFrame) -> pd.DataFrame:
             rows.append((task, kind, family, name, len(table), means, order, p))
     columns = ["task", "kind", "family", "fault", "seeds", "score", "tau", "p"]
     tests = pd.DataFrame(rows, columns=columns)
-    tests["p_holm"] = holm(tests["p"].tolist())
+    tests["p_holm"] = tests.groupby(["task", "kind"])["p"].transform(lambda p: holm(p.tolist()))
     tests["revealed"] = tests["p_holm"] < LEVEL
     return tests
 
