@@ -25,7 +25,7 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.engine import Person
 from geort_drake.simulation.person.handling import GRASP
-from geort_drake.simulation.person.perception import Seen
+from geort_drake.simulation.person.perception import Percept
 from geort_drake.systems.port_values import vector_to_pose
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -250,7 +250,7 @@ class PagePerson:
             if engaged:
                 tips = [vector_to_pose(poses[body]) @ np.array(point) for body, point in self._tips]
                 X_WO = vector_to_pose(poses[self._object])
-                seen = Seen(np.array(tips), X_WB, X_WO, self._touching(np.array(tips), X_WO))
+                seen = Percept(np.array(tips), X_WB, X_WO, self._touching(np.array(tips), X_WO))
                 self._state = self._person.step(self._state, values[0], seen)
         p_HK = self._hand.keypoints(self._state.theta)
         p_HK[1:] += self._rng.normal(0.0, self._tremor, (20, 3))

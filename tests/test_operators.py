@@ -26,7 +26,7 @@ from geort_drake.simulation.person.handling import (
     letting_go_speed,
     squeeze,
 )
-from geort_drake.simulation.person.perception import FreePlay, Seen
+from geort_drake.simulation.person.perception import FreePlay, Percept
 from geort_drake.simulation.wrist_motion import WristMovement
 
 QUIET = dict.fromkeys(
@@ -75,13 +75,13 @@ class StandInWorld:
         self.X_WB_start = RigidTransform([0.3, 0.1, 0.2])
         self.X_WB = self.X_WB_start
         self._p_BO_held: np.ndarray | None = None
-        self._past: deque[Seen] = deque(maxlen=round(config.visual_delay / config.period))
+        self._past: deque[Percept] = deque(maxlen=round(config.visual_delay / config.period))
 
     def robot_tips(self, p_HF: np.ndarray) -> np.ndarray:
         """(..., 4, 3) in B for own fingertips, m."""
         return self._rest + self._gain * (p_HF - self._rest)
 
-    def advance(self, theta: np.ndarray, X_WH: RigidTransform, lifting: bool) -> Seen:
+    def advance(self, theta: np.ndarray, X_WH: RigidTransform, lifting: bool) -> Percept:
         """What the person sees after the robot has followed hand and wrist."""
         self.X_WB = RigidTransform(X_WH.rotation(), self.X_WB_start.translation() + X_WH.translation())
         p_BF = self.robot_tips(self.hand.fingertips(theta)[:4])
@@ -97,7 +97,7 @@ class StandInWorld:
             self._slips -= 1
         if self._p_BO_held is not None and self._slips <= 0:
             self.X_WO = RigidTransform(self.X_WB @ self._p_BO_held)
-        self._past.append(Seen(p_WF, self.X_WB, self.X_WO, contact, RigidTransform([0.5, 0.2, 0.15])))
+        self._past.append(Percept(p_WF, self.X_WB, self.X_WO, contact, RigidTransform([0.5, 0.2, 0.15])))
         return self._past[0]
 
 
@@ -220,7 +220,7 @@ def test_a_person_turns_an_object_upright_only_if_it_must_stand(upright, roll, r
     memory = dc.replace(
         person.start(RigidTransform()), phase=carry, is_looking=True, p_BO=X_BO.translation(), notes=notes
     )
-    seen = Seen(np.zeros((4, 3)), X_WB, X_WO, np.ones(4), RigidTransform([0.5, 0.2, 0.15]))
+    seen = Percept(np.zeros((4, 3)), X_WB, X_WO, np.ones(4), RigidTransform([0.5, 0.2, 0.15]))
     end = person.step(memory, 1.0, seen).movement.X_end  # of the wrist, from the identity
     X_WB = RigidTransform(end.rotation() @ X_WB.rotation(), X_WB.translation() + end.translation())
     np.testing.assert_allclose((X_WB @ X_BO).translation(), [0.5, 0.2, 0.17], atol=1e-9)
@@ -228,7 +228,7 @@ def test_a_person_turns_an_object_upright_only_if_it_must_stand(upright, roll, r
     assert up == pytest.approx(1.0 if upright else X_WO.rotation().matrix()[2, 2])
 
 
-def moment(world: StandInWorld, phase: str, seen: Seen, rng: np.random.Generator, **notes) -> Moment:
+def moment(world: StandInWorld, phase: str, seen: Percept, rng: np.random.Generator, **notes) -> Moment:
     """What a person decides upon, one second after a phase of `PLACE` began."""
     placing = SimpleNamespace(hover=0.02, upright=False)
     person = Person(world.hand, world.goal, PLACE, "servo", world.config, placing, rng)
@@ -251,7 +251,7 @@ def test_a_hand_stops_lowering_what_stays_behind_it(slid, below, following, rng)
     """An object that stands above its place is raised again; one that stands at its place is let go."""
     world = StandInWorld(1.0, OperatorConfig())
     X_WO = RigidTransform([0.5, 0.2, 0.15])
-    seen = Seen(
+    seen = Percept(
         np.zeros((4, 3)), world.X_WB, X_WO, np.ones(4), RigidTransform(X_WO.translation() - [0, 0, below])
     )
     before = (seen.X_BW @ X_WO).translation() - seen.X_BW.rotation().matrix() @ [0, 0, slid]
@@ -263,7 +263,7 @@ def test_a_hand_lowers_what_it_holds_slowly(rng):
     """From 0.1 m above its place; other movements of the wrist are faster."""
     world, config = StandInWorld(1.0, OperatorConfig()), OperatorConfig()
     X_WP = RigidTransform(world.X_WO.translation() - [0, 0, 0.1])
-    m = moment(world, "lower", Seen(np.zeros((4, 3)), world.X_WB, world.X_WO, np.ones(4), X_WP), rng)
+    m = moment(world, "lower", Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, np.ones(4), X_WP), rng)
     m.memory.movement = None
     person = Person(world.hand, world.goal, PLACE, "servo", config, m.settings, rng)
     person._move_wrist(m)
@@ -280,7 +280,7 @@ def test_fingers_let_go_straight_off_the_object_and_open_once_they_no_longer_fee
     touches = world.goal.touches
     for feels in (touches, np.zeros(4, bool)):
         p_WF = world.X_WB.multiply(p_BF.T).T
-        seen = Seen(p_WF, world.X_WB, world.X_WO, feels.astype(float), world.X_WO)
+        seen = Percept(p_WF, world.X_WB, world.X_WO, feels.astype(float), world.X_WO)
         m = moment(world, "open", seen, rng, pressed=np.zeros((4, 3)))
         way, inwards = let_go(m) - p_BF, opposition(p_BF, touches, m.thumb)
         off = -np.einsum("fi,fi->f", way, inwards) / np.linalg.norm(inwards, axis=1).clip(1e-9)
@@ -304,7 +304,7 @@ def test_an_object_that_lies_off_its_place_is_taken_again(shift, turn, following
     X_WB = goal.object_frame(world.X_WO) @ goal.X_OB_before
     turned = RotationMatrix.MakeZRotation(turn) @ world.X_WO.rotation()
     X_WP = RigidTransform(turned, world.X_WO.translation() + [0, shift, 0])
-    m = moment(world, "retreat", Seen(np.zeros((4, 3)), X_WB, world.X_WO, np.zeros(4), X_WP), rng)
+    m = moment(world, "retreat", Percept(np.zeros((4, 3)), X_WB, world.X_WO, np.zeros(4), X_WP), rng)
     m.goal, m.memory.movement = goal, None
     assert has_retreated(m) == following
 
@@ -313,7 +313,7 @@ def test_an_object_that_lies_off_its_place_is_taken_again(shift, turn, following
 def test_an_object_that_moves_while_the_hand_surrounds_it_is_grasped_at_once(pushed, following, rng):
     """However far the fingers still are; the wrist is on its way."""
     world = StandInWorld(1.0, OperatorConfig())
-    seen = Seen(np.zeros((4, 3)), world.X_WB, world.X_WO, np.zeros(4))
+    seen = Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, np.zeros(4))
     m = moment(world, "surround", seen, rng, p_WO=world.X_WO.translation() + [pushed, 0, 0])
     assert is_gathered(m) == following
 
@@ -323,7 +323,7 @@ def test_each_finger_presses_until_it_has_its_part_of_the_grip(rng):
     world = StandInWorld(1.0, OperatorConfig())
     force = OperatorConfig().grip_force
     contact = np.array([0.9, 0.1, 0.8, 0.0]) * force
-    seen = Seen(world.X_WB.multiply(world.goal.p_BF_open.T).T, world.X_WB, world.X_WO, contact)
+    seen = Percept(world.X_WB.multiply(world.goal.p_BF_open.T).T, world.X_WB, world.X_WO, contact)
     m = moment(world, "squeeze", seen, rng, pressed=np.zeros((4, 3)), contact=contact)
     speed = np.linalg.norm(squeeze(m), axis=1)
     assert speed[1] > 0.01 and speed[0] == pytest.approx(speed[1]) and speed[2] == speed[3] == 0

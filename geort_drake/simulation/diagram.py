@@ -95,7 +95,7 @@ def make_trial_diagram(
     # The human: an operator who sees the scene with a delay, or a recording.
     source: LeafSystem
     operator = None
-    seen: dict[str, OutputPort] = {}
+    operator_inputs: dict[str, OutputPort] = {}
     if isinstance(human, Recording):
         source = builder.AddNamedSystem("glove_replay", GloveReplay(human))
     else:
@@ -115,10 +115,10 @@ def make_trial_diagram(
             ),
         )
         for name, (port, mirror) in stage.percepts.items():
-            seen[name] = late = _delayed(builder, port, scenario)
+            operator_inputs[name] = output = _delayed(builder, port, scenario)
             if in_mirror and mirror is not None:
-                late = _mirrored(builder, name, late, mirror)
-            builder.Connect(late, operator.GetInputPort(name))
+                output = _mirrored(builder, name, output, mirror)
+            builder.Connect(output, operator.GetInputPort(name))
     if scenario.glove.faulty:
         # A separate generator, so that placement and the person's noise do not depend on the faults.
         faults = np.random.default_rng([scenario.random_seed, 1])
@@ -153,7 +153,7 @@ def make_trial_diagram(
         from geort_drake.simulation.recording import add_trial_recorder
 
         recorder = add_trial_recorder(
-            builder, stage, rerun_path, scenario, description, seen, hand_source, properties or {}
+            builder, stage, rerun_path, scenario, description, operator_inputs, hand_source, properties or {}
         )
 
     diagram = builder.Build()

@@ -57,7 +57,7 @@ while they follow. Yellow arrows are contact forces, and white dots are the path
 **Below.** Phases of the task, and plots on tabs: fingers, joint angles (pale: commanded, strong: measured)
 and joint torques.
 """
-_SEEN = " Grey spheres are what the simulated person sees, {delay:.0f} ms late."
+_OPERATOR_TEXT = " Grey spheres are what the simulated person sees, {delay:.0f} ms late."
 _PACKAGES = {"drake": "drake", "rerun": "rerun-sdk", "numpy": "numpy", "torch": "torch"}
 
 
@@ -67,7 +67,7 @@ def add_trial_recorder(
     path: str | os.PathLike,
     scenario: Scenario,
     description: HandDescription,
-    seen: Mapping[str, OutputPort],
+    operator_inputs: Mapping[str, OutputPort],
     hand_source: LeafSystem,
     properties: Mapping[str, str | int | float | bool],
 ) -> RerunRecorder:
@@ -75,14 +75,14 @@ def add_trial_recorder(
 
     Args:
         stage: the task's stage.
-        seen: name → delayed port that the operator reads; empty for a replay.
+        operator_inputs: name → delayed port that the operator reads; empty for a replay.
         hand_source: provides keypoints and wrist pose of the hand that is drawn.
         properties: properties of the recording besides hand, object, delays and software versions.
     """
     plant, arm, hand = stage.plant, stage.arm, stage.hand
     system = builder.GetSubsystemByName
     glove = "worn_glove" if builder.HasSubsystemNamed("worn_glove") else "glove_replay"
-    source = system("operator" if seen else glove)
+    source = system("operator" if operator_inputs else glove)
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
     hand_joints = [joint.name() for joint in actuated_joints(plant, hand)]
     names = {
@@ -116,7 +116,7 @@ def add_trial_recorder(
         specs[key] = SignalSpec(port, entries, title=key, unit=unit, page=_FINGERS)
     for name, (port, labels) in stage.states.items():
         specs[name] = StateSpec(port, labels)
-    if seen:
+    if operator_inputs:
         specs["operator"] = StateSpec(source.GetOutputPort("phase"), source.phases)
     links = dict(zip(fingers, parts.finger_links(), strict=True))
     base = plant.GetFrameByName(description.base_frame, hand)
@@ -125,7 +125,7 @@ def add_trial_recorder(
         hand_source.GetOutputPort("keypoints"),
         hand_source.GetOutputPort("wrist_pose"),
         # The operator's hand is never lost.
-        None if seen else source.GetOutputPort("valid"),
+        None if operator_inputs else source.GetOutputPort("valid"),
         # Drawn next to the robot's, towards the camera.
         X_WO=RigidTransform(X_WB.translation() + [-0.05, -0.42, -0.10]),
     )
@@ -139,12 +139,14 @@ def add_trial_recorder(
     )
     for body in stage.free_bodies:
         specs["object/path"] = _path(plant, body)
-    if seen:
+    if operator_inputs:
         start = scenario.operator.visual_delay
-        specs["seen/fingertips"] = PointsSpec(seen["fingertips"], None, 0.008, _SEEN_COLOR, start=start)
-    if "object_pose" in seen:
+        specs["seen/fingertips"] = PointsSpec(
+            operator_inputs["fingertips"], None, 0.008, _SEEN_COLOR, start=start
+        )
+    if "object_pose" in operator_inputs:
         specs["seen/object"] = PointsSpec(
-            seen["object_pose"], None, 0.015, _SEEN_COLOR, start=start, derive=lambda X: X[:, 4:]
+            operator_inputs["object_pose"], None, 0.015, _SEEN_COLOR, start=start, derive=lambda X: X[:, 4:]
         )
     return add_rerun_recorder(
         builder,
@@ -203,7 +205,7 @@ def _text(scenario: Scenario, properties: Mapping[str, object], outcome: str) ->
         hand=Path(scenario.hand).stem,
         seed=scenario.random_seed,
         outcome=outcome,
-        person=_SEEN.format(delay=1e3 * scenario.operator.visual_delay),
+        person=_OPERATOR_TEXT.format(delay=1e3 * scenario.operator.visual_delay),
     )
 
 

@@ -149,14 +149,14 @@ class Judge(PythonSystem):
         context.SetAbstractState(0, Outcome(began=context.get_time()))
 
     def _observe(self, context: Context, state: State) -> EventStatus:
-        before, t = self.outcome(context), context.get_time()
-        if before.over:
+        previous, t = self.outcome(context), context.get_time()
+        if previous.over:
             return EventStatus.DidNothing()
-        seen = {name: port.Eval(context) for name, port in self._inputs.items()}
-        touches_itself = t > 0 and seen["self_contact"][0] > 0
-        outcome = self._judgement(before.replace(t=t), seen).replace(
-            peak_force=max(before.peak_force, float(seen["contact"].max())),
-            self_contact_time=before.self_contact_time + PERIOD * bool(touches_itself),
+        observation = {name: port.Eval(context) for name, port in self._inputs.items()}
+        touches_itself = t > 0 and observation["self_contact"][0] > 0
+        outcome = self._judgement(previous.replace(t=t), observation).replace(
+            peak_force=max(previous.peak_force, float(observation["contact"].max())),
+            self_contact_time=previous.self_contact_time + PERIOD * bool(touches_itself),
         )
         state.get_mutable_abstract_state(0).set_value(outcome)
         if outcome.over:

@@ -68,8 +68,8 @@ def judgement(
     """
     ground, is_done = lowest_point(X_WP), list(steps.values())
 
-    def carried_state(seen: Observation) -> CarriedState:
-        X_WO = vector_to_pose(seen["object_pose"])
+    def carried_state(observation: Observation) -> CarriedState:
+        X_WO = vector_to_pose(observation["object_pose"])
         offset = X_WO.translation() - X_WP.translation()
         R_PO = X_WP.rotation().inverse() @ X_WO.rotation()
         return CarriedState(
@@ -77,26 +77,26 @@ def judgement(
             offset=math.hypot(*offset[:2]),
             turn=math.remainder(yaw_of(R_PO), math.pi / 2),
             tilt=math.acos(min(np.abs(X_WO.rotation().matrix()[2]).max(), 1.0)),
-            touching=int(np.sum(seen["contact"] > TOUCH_FORCE)),
+            touching=int(np.sum(observation["contact"] > TOUCH_FORCE)),
         )
 
-    def judge(before: Outcome, seen: Observation) -> Outcome:
-        t, carried = before.t, carried_state(seen)
-        times: tuple[float, ...] = before.memory.get("times", ())
+    def judge(previous: Outcome, observation: Observation) -> Outcome:
+        t, state = previous.t, carried_state(observation)
+        times: tuple[float, ...] = previous.memory.get("times", ())
         done_since = math.nan
-        if is_done[len(times)](carried):
+        if is_done[len(times)](state):
             if len(times) < len(steps) - 1:
                 times = (*times, t)
             else:
-                done_since = before.memory.get("done_since", math.nan)
+                done_since = previous.memory.get("done_since", math.nan)
                 done_since = t if math.isnan(done_since) else done_since
                 if t - done_since > HOLD_TIME - 1e-9:
                     times = (*times, done_since)
-        lost = carried.height < -_MAX_FALL or (carried.offset > _MAX_OFFSET and carried.touching == 0)
+        lost = state.height < -_MAX_FALL or (state.offset > _MAX_OFFSET and state.touching == 0)
         success = len(times) == len(steps)
-        reached = dict(zip(steps, times, strict=False))
-        last = list(reached)[-1] if reached else "reach"
-        return before.replace(
+        step_times = dict(zip(steps, times, strict=False))
+        last = list(step_times)[-1] if step_times else "reach"
+        return previous.replace(
             phase=len(times),
             success=success,
             over=success or lost,
@@ -105,9 +105,9 @@ def judgement(
             text="success" if success else f"{'lost' if lost else 'timeout'}: {last}",
             memory={"times": times, "done_since": done_since},
             metrics={
-                "place_error": carried.offset,
-                "place_turn": carried.turn,
-                "step_times": {name: round(time, 6) for name, time in reached.items()},
+                "place_error": state.offset,
+                "place_turn": state.turn,
+                "step_times": {name: round(time, 6) for name, time in step_times.items()},
             },
         )
 

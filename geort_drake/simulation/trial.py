@@ -115,12 +115,12 @@ class TrialBuilder:
         plans, person, timing = self.plans(scenario), self.person(scenario.person), scenario.retargeting
         key = id(retarget), scenario.person, timing.latency
         if key not in self._practice:
-            adapted = after_play(retarget, person)
-            seen = seen_fingertips(adapted, self._hand, person, timing.latency)
-            self._practice[key] = retarget, adapted, seen
-        _, adapted, seen = self._practice[key]
-        goal, attainable = keep_reached(plans, seen)
-        return Trial(scenario, adapted if timing.adapts_before else retarget, (person, goal), attainable)
+            adapted_map = after_play(retarget, person)
+            fingertips = seen_fingertips(adapted_map, self._hand, person, timing.latency)
+            self._practice[key] = retarget, adapted_map, fingertips
+        _, adapted_map, fingertips = self._practice[key]
+        goal, attainable = keep_reached(plans, fingertips)
+        return Trial(scenario, adapted_map if timing.adapts_before else retarget, (person, goal), attainable)
 
 
 def plan_key(scenario: Scenario) -> str:

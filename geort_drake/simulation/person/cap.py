@@ -31,7 +31,7 @@ def turn(m: Moment) -> np.ndarray:
 
 def along_surface(m: Moment, error: np.ndarray) -> np.ndarray:
     """Ignores errors normal to the cap: its surface stops the squeezing fingertips."""
-    normal = (m.seen.p_BF - m.goal.p_BC) * _ACROSS
+    normal = (m.percept.p_BF - m.goal.p_BC) * _ACROSS
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     return error - np.sum(error * normal, axis=1, keepdims=True) * normal
 
@@ -54,7 +54,7 @@ def _stroke_time(m: Moment) -> float:
 
 def _turned(m: Moment) -> float:
     """Returns the seen turn of the cap, rad, positive in the direction of a stroke."""
-    return float(np.sign(m.goal.stroke) * m.seen.percepts["positions"][0])
+    return float(np.sign(m.goal.stroke) * m.percept.values["positions"][0])
 
 
 def has_settled(m: Moment) -> str | None:

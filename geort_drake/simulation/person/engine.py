@@ -19,7 +19,7 @@ from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.finger_motion import FingerMotion, limited
 from geort_drake.simulation.person.learning import LearnedMotion, learned_in_play, motion_noise
-from geort_drake.simulation.person.perception import Seen, averaged, draw_errors, later_errors, perceive
+from geort_drake.simulation.person.perception import Percept, averaged, draw_errors, later_errors, perceive
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 from geort_drake.systems.port_values import Immutable
 
@@ -139,7 +139,7 @@ class Memory(Immutable):
     # Finger that is looked at, since when, and when each finger was last looked at (F,), s.
     attended: int = -1
     attended_since: float = 0.0
-    looked: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
+    looked_at: np.ndarray = dc.field(default_factory=lambda: np.zeros(0))
     # Own and robot fingertip (3,), m, at the last comparison of their motions, and its time, s.
     compared: tuple[np.ndarray, np.ndarray] | None = None
     compared_at: float = 0.0
@@ -155,14 +155,14 @@ class Moment:
 
     Attributes:
         t: time, s.
-        seen: the scene as it is perceived.
+        percept: the scene as it is perceived.
         memory: the person's memory, which the engine changes.
         expected: motion of the robot's fingertips that is expected since the seen scene, (F, 3) m.
         goal, config, settings: the goal, the person's parameters, and the task's settings.
     """
 
     t: float
-    seen: Seen
+    percept: Percept
     memory: Memory
     expected: np.ndarray
     goal: Any
@@ -182,7 +182,7 @@ class Moment:
     @functools.cached_property
     def feels(self) -> np.ndarray:
         """(F,) whether each of the robot's fingers is felt to touch."""
-        return self.seen.contact > self.config.touch_force
+        return self.percept.contact > self.config.touch_force
 
     def note(self, **notes: Any) -> None:
         """Remembers values for later moments."""
@@ -203,9 +203,9 @@ class Moment:
         assert error is not None  # set at the start of every decision
         return float(np.nan_to_num(np.linalg.norm(error[self.goal.touches], axis=1)).max())
 
-    def tolerance(self, wanted: float) -> float:
+    def tolerance(self, tolerance: float) -> float:
         """Returns a wanted tolerance, m, or the person's error of vision if it is larger: they know it."""
-        return max(wanted, self.config.visual_error)
+        return max(tolerance, self.config.visual_error)
 
     @property
     def turn_tolerance(self) -> float:
@@ -227,14 +227,14 @@ class Moment:
 
     def is_at(self, X_WB: RigidTransform, tolerance: float) -> bool:
         """Whether the robot's hand is seen at a pose, within a distance, m."""
-        X = self.seen.X_BW @ X_WB
-        near = np.linalg.norm(X.translation()) < tolerance
-        return bool(near and X.rotation().ToAngleAxis().angle() < self.turn_tolerance)
+        X = self.percept.X_BW @ X_WB
+        is_near = np.linalg.norm(X.translation()) < tolerance
+        return bool(is_near and X.rotation().ToAngleAxis().angle() < self.turn_tolerance)
 
     def has_arrived(self, X_WB: RigidTransform, tolerance: float) -> bool:
         """Whether the wrist rests at a pose, or cannot come nearer."""
-        tried = self.memory.movements >= self.config.max_corrections
-        return self.wrist_rests and (tried or self.is_at(X_WB, tolerance))
+        gives_up = self.memory.movements >= self.config.max_corrections
+        return self.wrist_rests and (gives_up or self.is_at(X_WB, tolerance))
 
 
 class Person:
@@ -267,12 +267,12 @@ class Person:
         self._straight = straight
         self._motion, self._solid = FingerMotion(hand), SolidHand(hand)
         self._numbers = {phase.name: number for number, phase in enumerate(phases)}
-        self._own = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
+        self._finger_numbers = np.array([FINGER_NAMES.index(name) for name in goal.finger_names])
         self._thumb = goal.finger_names.index("thumb") if "thumb" in goal.finger_names else -1
-        self._used = np.flatnonzero(goal.touches)
+        self._touching = np.flatnonzero(goal.touches)
         # Fingers whose positions do not matter follow their neighbour, except the thumb.
-        moved = self._own[np.isfinite(goal.p_BF_open).all(axis=1)]
-        self._followers = [own for own in range(1, 5) if own not in moved]
+        moving = self._finger_numbers[np.isfinite(goal.p_BF_open).all(axis=1)]
+        self._followers = [own for own in range(1, 5) if own not in moving]
         self._rate = getattr(config, self._kind.rate)
         self._posture = np.zeros(0), np.zeros((5, 3))  # the last one and its fingertips
 
@@ -281,20 +281,20 @@ class Person:
     def start(self, X_WH: RigidTransform) -> Memory:
         """Returns the memory before the first decision: a relaxed hand at X_WH that does not move."""
         theta = self._first_posture()
-        p_HF, num_fingers, config = self._hand.fingertips(theta), len(self._own), self._config
+        p_HF, num_fingers, config = self._hand.fingertips(theta), len(self._finger_numbers), self._config
         p_HF_open, goal, play = p_HF.copy(), self._goal, self._goal.play
         learned = LearnedMotion.unlearned(num_fingers, config)
         if play is not None and len(play.p_HF):
             # The hand opens as it did when the robot's fingertips were nearest to the goal.
             noise = np.sqrt(0.5) * motion_noise(config, np.inf)
-            seen = play.p_BF + self._rng.normal(0, noise, play.p_BF.shape)
-            nearest = np.linalg.norm(seen - goal.p_BF_open, axis=-1).argmin(axis=0)
+            p_BF = play.p_BF + self._rng.normal(0, noise, play.p_BF.shape)
+            nearest = np.linalg.norm(p_BF - goal.p_BF_open, axis=-1).argmin(axis=0)
             for finger in np.flatnonzero(np.isfinite(goal.p_BF_open).all(axis=1)).tolist():
-                p_HF_open[self._own[finger]] = play.p_HF[nearest[finger], finger]
-            for own in self._followers:
-                p_HF_open[own] += p_HF_open[own - 1] - p_HF[own - 1]
+                p_HF_open[self._finger_numbers[finger]] = play.p_HF[nearest[finger], finger]
+            for follower in self._followers:
+                p_HF_open[follower] += p_HF_open[follower - 1] - p_HF[follower - 1]
             if self._kind.feedforward == "learned":
-                learned = learned_in_play(play, p_HF_open[self._own], config, self._rng)
+                learned = learned_in_play(play, p_HF_open[self._finger_numbers], config, self._rng)
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
         farthest = np.linalg.norm(p_HF_open - p_HF, axis=1).max()
         return Memory(
@@ -307,8 +307,8 @@ class Person:
             p_HF_open=p_HF_open,
             settle_time=max(config.min_movement_time, 1.875 * farthest / config.max_fingertip_speed),
             reference=goal.p_BF_open.copy(),
-            attended=int(self._used[0]),
-            looked=np.zeros(num_fingers),
+            attended=int(self._touching[0]),
+            looked_at=np.zeros(num_fingers),
         )
 
     def _first_posture(self) -> np.ndarray:
@@ -321,19 +321,19 @@ class Person:
 
     # -- decisions
 
-    def step(self, memory: Memory, t: float, scene: Seen) -> Memory:
+    def step(self, memory: Memory, t: float, scene: Percept) -> Memory:
         """Returns the memory after one decision at time t, s; does not change `memory`."""
         config, rng = self._config, self._rng
         if memory.theta is not self._posture[0]:  # a hand that holds something keeps its posture
             self._posture = memory.theta, self._hand.fingertips(memory.theta)
         past = (*memory.p_HF_past[1:], self._posture[1])
         memory = dc.replace(memory, p_HF_past=past, sight=later_errors(memory.sight, config, rng))
-        seen = perceive(scene, memory.sight, config, rng)
-        m = Moment(t, seen, memory, self._expected(memory), self._goal, config, self._settings)
+        percept = perceive(scene, memory.sight, config, rng)
+        m = Moment(t, percept, memory, self._expected(memory), self._goal, config, self._settings)
         if not memory.is_looking:
             memory.is_looking, memory.phase_start, memory.best_time = True, t, t
             memory.reference = self._begin(m)
-        memory.p_BO = averaged(memory.p_BO, seen.X_BW @ seen.X_WO.translation(), config)
+        memory.p_BO = averaged(memory.p_BO, percept.X_BW @ percept.X_WO.translation(), config)
         target = self._look(m)
         following = self.phases[memory.phase].ends(m)
         if following is not None:
@@ -350,7 +350,7 @@ class Person:
         """Returns the phase's fingertips, and judges the errors of the robot's."""
         memory, target = m.memory, self.phases[m.memory.phase].fingertips(m)
         if target is not None:
-            memory.error = averaged(memory.error, target - m.seen.p_BF, self._config)
+            memory.error = averaged(memory.error, target - m.percept.p_BF, self._config)
             if m.worst_error < memory.best_error - 0.001:
                 memory.best_error, memory.best_time = m.worst_error, m.t
         return target
@@ -358,7 +358,7 @@ class Person:
     def _begin(self, m: Moment) -> np.ndarray:
         """Returns where the intended motion of a phase begins, (F, 3) m in B."""
         memory, phase = m.memory, self.phases[m.memory.phase]
-        return m.seen.p_BF + m.expected if phase.from_seen else memory.reference
+        return m.percept.p_BF + m.expected if phase.from_seen else memory.reference
 
     def _enter(self, m: Moment, name: str) -> None:
         memory = m.memory
@@ -372,35 +372,35 @@ class Person:
     def _attend(self, m: Moment) -> None:
         """Looks at the finger that acts, or at the one of those that still move longest not looked at."""
         memory = m.memory
-        memory.looked = memory.looked.copy()
-        memory.looked[memory.attended] = m.t
+        memory.looked_at = memory.looked_at.copy()
+        memory.looked_at[memory.attended] = m.t
         if m.t - memory.attended_since < self._config.attention_time:
             return
-        watched = m.recall("acting", self._used[~m.feels[self._used]])
-        others = watched[watched != self._thumb]
-        watched = others if len(others) else watched if len(watched) else self._used
-        finger = int(watched[np.argmin(memory.looked[watched])])
+        candidates = m.recall("acting", self._touching[~m.feels[self._touching]])
+        others = candidates[candidates != self._thumb]
+        candidates = others if len(others) else candidates if len(candidates) else self._touching
+        finger = int(candidates[np.argmin(memory.looked_at[candidates])])
         if finger != memory.attended:
             memory.attended, memory.attended_since, memory.compared = finger, m.t, None
 
     def _compare(self, m: Moment) -> None:
         """Learns from the motion of the finger that is looked at, while it is free."""
         config, memory, finger = self._config, m.memory, m.memory.attended
-        own, robot = memory.p_HF_past[0][self._own[finger]], m.seen.p_BF[finger]
-        if m.seen.contact[finger] > config.touch_force:
+        human, robot = memory.p_HF_past[0][self._finger_numbers[finger]], m.percept.p_BF[finger]
+        if m.percept.contact[finger] > config.touch_force:
             memory.compared = None
             return
         elapsed = m.t - memory.compared_at
         if memory.compared is None:
-            memory.compared, memory.compared_at = (own, robot), m.t
+            memory.compared, memory.compared_at = (human, robot), m.t
         elif elapsed >= config.comparison_time:
-            moved = own - memory.compared[0]
-            if np.linalg.norm(moved) > config.least_motion:
-                seen, noise = robot - memory.compared[1], motion_noise(config, elapsed)
+            human_motion = human - memory.compared[0]
+            if np.linalg.norm(human_motion) > config.least_motion:
+                robot_motion, noise = robot - memory.compared[1], motion_noise(config, elapsed)
                 memory.learned = memory.learned.compared(
-                    finger, moved, seen, noise, elapsed, config.jacobian_drift
+                    finger, human_motion, robot_motion, noise, elapsed, config.jacobian_drift
                 )
-            memory.compared, memory.compared_at = (own, robot), m.t
+            memory.compared, memory.compared_at = (human, robot), m.t
 
     # -- fingers
 
@@ -409,8 +409,8 @@ class Person:
 
         The person assumes that the robot has moved as they have learned (Miall and Wolpert 1996).
         """
-        done = (memory.p_HF_past[-1] - memory.p_HF_past[0])[self._own]
-        return np.einsum("fij,fj->fi", memory.learned.J, done)
+        motion = (memory.p_HF_past[-1] - memory.p_HF_past[0])[self._finger_numbers]
+        return np.einsum("fij,fj->fi", memory.learned.J, motion)
 
     def _move_fingers(self, m: Moment, target: np.ndarray | None) -> None:
         config, memory, phase = self._config, m.memory, self.phases[m.memory.phase]
@@ -421,7 +421,7 @@ class Person:
         step = np.zeros((5, 3))
         if phase.press is not None:
             for finger, change in enumerate(config.period * phase.press(m)):
-                step[self._own[finger]] += memory.learned.own_motion(finger, change)
+                step[self._finger_numbers[finger]] += memory.learned.own_motion(finger, change)
         if target is None:
             memory.finger_velocity = np.zeros((5, 3))
             if not step.any():  # the hand keeps its posture
@@ -437,22 +437,22 @@ class Person:
             step += self._correction(m, moves, limit.max())
             if self._kind.feedforward != "none":
                 for finger in np.flatnonzero(moves).tolist():
-                    own = memory.motor @ memory.learned.own_motion(finger, change[finger])
-                    step[self._own[finger]] += own
+                    motion = memory.motor @ memory.learned.own_motion(finger, change[finger])
+                    step[self._finger_numbers[finger]] += motion
         self._follow(memory, step)
 
     def _correction(self, m: Moment, moves: np.ndarray, limit: float) -> np.ndarray:
         """Returns a step (5, 3), m, of the own fingers in proportion to the seen errors."""
         config, memory, phase = self._config, m.memory, self.phases[m.memory.phase]
-        error = memory.reference - m.seen.p_BF - m.expected
+        error = memory.reference - m.percept.p_BF - m.expected
         if phase.error is not None:
             error = phase.error(m, error)
         if self._kind.looks_at == "one":
             moves = moves & np.isin(np.arange(len(moves)), (self._thumb, memory.attended))
         velocity = np.zeros((5, 3))
         for finger in np.flatnonzero(moves).tolist():
-            wanted = limited(self._rate * error[finger][None], limit)[0]
-            velocity[self._own[finger]] = memory.learned.own_motion(finger, wanted)
+            robot_velocity = limited(self._rate * error[finger][None], limit)[0]
+            velocity[self._finger_numbers[finger]] = memory.learned.own_motion(finger, robot_velocity)
         weight = config.period / (config.period + config.muscle_time_constant)
         memory.finger_velocity = memory.finger_velocity + weight * (velocity - memory.finger_velocity)
         noise = self._rng.normal(0, config.motor_noise, (5, 1))
@@ -460,24 +460,24 @@ class Person:
 
     def _follow(self, memory: Memory, step: np.ndarray) -> None:
         """Moves the own fingertips by a step (5, 3), m."""
-        for own in self._followers:
-            step[own] = step[own - 1]
-        before = memory.theta
-        wanted = self._motion.follow(before, memory.p_HF_past[-1] + step)
-        met = self._solid.depths(wanted)[: len(FINGER_NAMES) - 1] > MAX_INTERPENETRATION
-        if met.any():  # the own thumb and a finger feel that they meet, and both stop there
-            digits = np.append(True, met)
-            wanted = np.where(np.repeat(digits, 4), before, wanted)
+        for follower in self._followers:
+            step[follower] = step[follower - 1]
+        theta = memory.theta
+        target = self._motion.follow(theta, memory.p_HF_past[-1] + step)
+        touching = self._solid.depths(target)[: len(FINGER_NAMES) - 1] > MAX_INTERPENETRATION
+        if touching.any():  # the own thumb and a finger feel that they meet, and both stop there
+            digits = np.append(True, touching)
+            target = np.where(np.repeat(digits, 4), theta, target)
             memory.finger_velocity = np.where(digits[:, None], 0.0, memory.finger_velocity)
-        memory.theta, _ = self._solid.move(before, wanted)
+        memory.theta, _ = self._solid.move(theta, target)
 
     # -- wrist
 
     def _move_wrist(self, m: Moment) -> None:
         memory, phase = m.memory, self.phases[m.memory.phase]
         if m.wrist_rests and (target := phase.wrist(m)) is not None:
-            shift = target.translation() - m.seen.X_WB.translation()
-            turn = target.rotation() @ m.seen.X_WB.rotation().inverse()
+            shift = target.translation() - m.percept.X_WB.translation()
+            turn = target.rotation() @ m.percept.X_WB.rotation().inverse()
             memory.movement = WristMovement.planned(
                 memory.X_WH, shift, turn, m.t, self._config, self._rng, phase.wrist_speed
             )

@@ -29,7 +29,7 @@ def let_go(m: Moment) -> np.ndarray:
     """straight off the object, then open around it"""
     target, feels = m.goal.p_BF_open.copy(), m.goal.touches & m.feels
     # A finger that moved along the surface would turn the object over.
-    target[feels] = (m.seen.p_BF - _LEAVING_DISTANCE * _directions_inwards(m))[feels]
+    target[feels] = (m.percept.p_BF - _LEAVING_DISTANCE * _directions_inwards(m))[feels]
     return target
 
 
@@ -40,7 +40,7 @@ def letting_go_speed(m: Moment) -> np.ndarray:
 
 def _around(m: Moment, depth: float) -> np.ndarray:
     """Returns fingertips `depth` (m) below the seen surface, (F, 3) in B; NaN for fingers that feel it."""
-    X_BO = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)
+    X_BO = m.percept.X_BW @ m.goal.object_frame(m.percept.X_WO)
     target, touches = m.goal.p_BF_open.copy(), m.goal.touches
     target[touches] = X_BO.multiply((m.goal.p_OF_touch + depth * m.goal.n_OF)[touches].T).T
     target[touches & m.feels] = np.nan
@@ -82,7 +82,7 @@ def hold(m: Moment) -> None:
 def _felt(m: Moment) -> np.ndarray:
     """Returns the felt forces (F,), N, averaged since the squeeze began."""
     force = m.recall("contact")
-    return m.seen.contact if force is None else force
+    return m.percept.contact if force is None else force
 
 
 def _grip(m: Moment) -> float:
@@ -94,8 +94,8 @@ def _grip(m: Moment) -> float:
 
 def _wanted_grip(m: Moment) -> float:
     """Returns the wanted force of the grip, N."""
-    usual = max(m.config.grip_force, m.config.grip_per_weight * m.goal.weight)
-    return m.recall("grip_force", usual)
+    minimum = max(m.config.grip_force, m.config.grip_per_weight * m.goal.weight)
+    return m.recall("grip_force", minimum)
 
 
 def _is_firm(m: Moment, share: float = 1.0) -> bool:
@@ -117,9 +117,9 @@ def _inwards(m: Moment, touches: np.ndarray) -> np.ndarray:
     n_OF = getattr(m.goal, "n_OF", None)
     others = m.goal.touches & (np.arange(len(touches)) != m.thumb)
     if n_OF is None or np.linalg.norm(n_OF[m.thumb] + n_OF[others].mean(axis=0)) < _UNBALANCED:
-        return opposition(m.seen.p_BF, touches, m.thumb)
+        return opposition(m.percept.p_BF, touches, m.thumb)
     pressing = touches | (np.arange(len(touches)) == m.thumb)
-    R_BO = (m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)).rotation().matrix()
+    R_BO = (m.percept.X_BW @ m.goal.object_frame(m.percept.X_WO)).rotation().matrix()
     way = np.where(pressing[:, None], n_OF @ R_BO.T, 0.0)
     way[others] /= np.count_nonzero(others)
     return way
@@ -154,7 +154,7 @@ def _pressing(m: Moment, share: float) -> np.ndarray:
     velocity *= np.linalg.norm(pressed, axis=1).max() < config.squeeze
     m.note(
         pressed=pressed + config.period * velocity,
-        contact=averaged(m.recall("contact"), m.seen.contact, config),
+        contact=averaged(m.recall("contact"), m.percept.contact, config),
     )
     return velocity
 
@@ -196,11 +196,11 @@ def _go(m: Moment, X_WB: RigidTransform, tolerance: float) -> RigidTransform | N
 
 
 def _before(m: Moment) -> RigidTransform:
-    return m.goal.object_frame(m.seen.X_WO) @ m.goal.X_OB_before
+    return m.goal.object_frame(m.percept.X_WO) @ m.goal.X_OB_before
 
 
 def _at_object(m: Moment) -> RigidTransform:
-    return m.goal.object_frame(m.seen.X_WO) @ m.goal.X_OB
+    return m.goal.object_frame(m.percept.X_WO) @ m.goal.X_OB
 
 
 def go_before(m: Moment) -> RigidTransform | None:
@@ -223,14 +223,14 @@ def _shift(m: Moment) -> np.ndarray | None:
     touches = m.goal.touches
     if m.memory.movements >= config.max_corrections:
         return None
-    X_BO = m.seen.X_BW @ m.goal.object_frame(m.seen.X_WO)
+    X_BO = m.percept.X_BW @ m.goal.object_frame(m.percept.X_WO)
     depth = config.overshoot if m.recall("closing") else 0.0
     error = np.nan_to_num(error - depth * (m.goal.n_OF @ X_BO.rotation().matrix().T))
     error[m.feels] = 0.0
     middle = 0.5 * (error[touches].min(axis=0) + error[touches].max(axis=0))
     if np.linalg.norm(middle) < config.shift_tolerance:
         return None
-    return m.seen.X_WB.rotation().matrix() @ middle
+    return m.percept.X_WB.rotation().matrix() @ middle
 
 
 def shift(m: Moment) -> RigidTransform | None:
@@ -239,19 +239,19 @@ def shift(m: Moment) -> RigidTransform | None:
     if shift is None:
         return None
     m.memory.best_error, m.memory.best_time = np.inf, m.t
-    return RigidTransform(m.seen.X_WB.rotation(), m.seen.X_WB.translation() + shift)
+    return RigidTransform(m.percept.X_WB.rotation(), m.percept.X_WB.translation() + shift)
 
 
 def rise(m: Moment) -> RigidTransform | None:
     """rises"""
     if m.memory.movement is not None:
         return None
-    return RigidTransform([0, 0, m.config.lift_height]) @ m.seen.X_WB
+    return RigidTransform([0, 0, m.config.lift_height]) @ m.percept.X_WB
 
 
 def _to_place(m: Moment) -> RigidTransform:
     """Returns the seen motion from object to place: rotation and translation of the origin in W."""
-    X_WO, X_WP = m.seen.X_WO, m.seen.X_WP
+    X_WO, X_WP = m.percept.X_WO, m.percept.X_WP
     assert X_WP is not None  # tasks with a place show it
     upright = m.settings.upright
     R = _tilt_to(X_WO.rotation().col(2), X_WP.rotation().col(2)) if upright else RotationMatrix()
@@ -261,10 +261,10 @@ def _to_place(m: Moment) -> RigidTransform:
 
 
 def _above_place(m: Moment) -> RigidTransform:
-    motion, p_WO = _to_place(m), m.seen.X_WO.translation()
-    p_OB_W = m.seen.X_WB.translation() - p_WO
+    motion, p_WO = _to_place(m), m.percept.X_WO.translation()
+    p_OB_W = m.percept.X_WB.translation() - p_WO
     above = p_WO + motion.translation() + [0, 0, m.settings.hover]
-    return RigidTransform(motion.rotation() @ m.seen.X_WB.rotation(), above + motion.rotation() @ p_OB_W)
+    return RigidTransform(motion.rotation() @ m.percept.X_WB.rotation(), above + motion.rotation() @ p_OB_W)
 
 
 def carry(m: Moment) -> RigidTransform | None:
@@ -278,7 +278,7 @@ def lower(m: Moment) -> RigidTransform | None:
         return None
     m.note(p_BO_carried=m.memory.p_BO)
     down = min(_to_place(m).translation()[2], 0.0) - m.config.place_overshoot
-    return RigidTransform([0, 0, down]) @ m.seen.X_WB
+    return RigidTransform([0, 0, down]) @ m.percept.X_WB
 
 
 # -- when a phase ends
@@ -318,13 +318,13 @@ def is_before(m: Moment) -> str | None:
     shaped = m.worst_error < m.tolerance(max(m.config.shape_tolerance, near))
     if not (shaped and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
-    m.note(p_WO=m.seen.X_WO.translation())
+    m.note(p_WO=m.percept.X_WO.translation())
     return "approach"
 
 
 def _is_pushed(m: Moment) -> bool:
     """Whether the object is seen to have moved since the approach: one that rolls is caught at once."""
-    return bool(np.linalg.norm(m.seen.X_WO.translation() - m.recall("p_WO")) > m.config.visual_error)
+    return bool(np.linalg.norm(m.percept.X_WO.translation() - m.recall("p_WO")) > m.config.visual_error)
 
 
 def is_around(m: Moment) -> str | None:
@@ -352,7 +352,7 @@ def all_feel(m: Moment) -> str | None:
 
 
 def begin_squeeze(m: Moment) -> str:
-    m.note(pressed=np.zeros_like(m.seen.p_BF), contact=None)
+    m.note(pressed=np.zeros_like(m.percept.p_BF), contact=None)
     return "squeeze"
 
 
@@ -393,7 +393,7 @@ def is_down(m: Moment) -> str | None:
         return lost
     if m.memory.movement is None:
         return None
-    risen = m.seen.X_WB.rotation().matrix()[2] @ (m.memory.p_BO - m.recall("p_BO_carried"))
+    risen = m.percept.X_WB.rotation().matrix()[2] @ (m.memory.p_BO - m.recall("p_BO_carried"))
     if not (m.wrist_rests or risen > 3 * m.config.visual_error):
         return None
     # An object that is still above its place stands on something else, and is held where it has slid to.

@@ -8,11 +8,11 @@ _PRESS = np.array([1.0, 0.0, 0.0])  # direction of a press in B
 
 
 def _cue(m: Moment) -> int:
-    return round(m.seen.percepts["cue"][0])
+    return round(m.percept.values["cue"][0])
 
 
 def _travel(m: Moment, finger: int) -> float:
-    return float(m.seen.percepts["positions"][m.goal.key_of[finger]])
+    return float(m.percept.values["positions"][m.goal.key_of[finger]])
 
 
 def above(m: Moment) -> np.ndarray:

@@ -26,11 +26,11 @@ class LearnedMotion:
     @classmethod
     def unlearned(cls, num_fingers: int, config: OperatorConfig) -> "LearnedMotion":
         """Returns the initial estimate, that robot and own fingers move alike."""
-        one = np.tile(np.eye(3), (num_fingers, 1, 1))
-        return cls(one, config.jacobian_spread**2 * one)
+        identity = np.tile(np.eye(3), (num_fingers, 1, 1))
+        return cls(identity, config.jacobian_spread**2 * identity)
 
     def compared(
-        self, finger: int, own: np.ndarray, robot: np.ndarray, noise: float, elapsed: float, drift: float
+        self, finger: int, human: np.ndarray, robot: np.ndarray, noise: float, elapsed: float, drift: float
     ) -> "LearnedMotion":
         """Returns the estimate after a comparison of own and robot motion (3,), m.
 
@@ -41,9 +41,9 @@ class LearnedMotion:
         """
         J, P = self.J.copy(), self.P.copy()
         P[finger] += elapsed * drift**2 * np.eye(3)
-        gain = P[finger] @ own / (own @ P[finger] @ own + noise**2)
-        J[finger] += np.outer(robot - J[finger] @ own, gain)
-        P[finger] -= np.outer(gain, P[finger] @ own)
+        gain = P[finger] @ human / (human @ P[finger] @ human + noise**2)
+        J[finger] += np.outer(robot - J[finger] @ human, gain)
+        P[finger] -= np.outer(gain, P[finger] @ human)
         return LearnedMotion(J, P)
 
     def own_motion(self, finger: int, robot: np.ndarray) -> np.ndarray:
@@ -71,12 +71,12 @@ def learned_in_play(
     """Returns what the person learns from free play near own fingertips p_HF (F, 3), m."""
     step = max(1, round(config.comparison_time / play.period))
     noise = motion_noise(config, config.comparison_time)
-    own, robot = play.p_HF[::step], play.p_BF[::step]
+    p_HF_play, p_BF_play = play.p_HF[::step], play.p_BF[::step]
     learned = LearnedMotion.unlearned(p_HF.shape[0], config)
-    moved = np.diff(own, axis=0)
-    near = np.linalg.norm(own[1:] - p_HF, axis=-1) < config.neighbourhood
-    far_enough = np.linalg.norm(moved, axis=-1) > config.least_motion
-    seen = np.diff(robot, axis=0) + rng.normal(0, noise, moved.shape)
-    for t, finger in np.argwhere(near & far_enough):
-        learned = learned.compared(finger, moved[t, finger], seen[t, finger], noise, 0.0, 0.0)
+    human_motion = np.diff(p_HF_play, axis=0)
+    is_near = np.linalg.norm(p_HF_play[1:] - p_HF, axis=-1) < config.neighbourhood
+    is_far = np.linalg.norm(human_motion, axis=-1) > config.least_motion
+    robot_motion = np.diff(p_BF_play, axis=0) + rng.normal(0, noise, human_motion.shape)
+    for t, finger in np.argwhere(is_near & is_far):
+        learned = learned.compared(finger, human_motion[t, finger], robot_motion[t, finger], noise, 0.0, 0.0)
     return learned

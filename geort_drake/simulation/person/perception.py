@@ -17,7 +17,7 @@ GAZE_W = np.array([0.8, 0.0, -0.6])
 
 
 @dc.dataclass(frozen=True)
-class Seen:
+class Percept:
     """The scene as the person sees it."""
 
     p_WF: np.ndarray  # (F, 3) robot fingertips, m
@@ -25,10 +25,10 @@ class Seen:
     X_WO: RigidTransform  # object
     contact: np.ndarray  # (F,) force between each robot finger and the object, N
     X_WP: RigidTransform | None = None  # where the object belongs
-    percepts: Mapping[str, np.ndarray] = dc.field(default_factory=dict)  # of the task, by name
+    values: Mapping[str, np.ndarray] = dc.field(default_factory=dict)  # of the task, by name
 
     @classmethod
-    def of_ports(cls, values: Mapping[str, np.ndarray]) -> "Seen":
+    def of_ports(cls, values: Mapping[str, np.ndarray]) -> "Percept":
         """Returns the scene from the values of ports; without `place_pose`, the object has no place."""
         poses = {name: vector_to_pose(value) for name, value in values.items() if name.endswith("_pose")}
         return cls(
@@ -37,7 +37,7 @@ class Seen:
             X_WO=poses["object_pose"],
             contact=values["contact"],
             X_WP=poses.get("place_pose"),
-            percepts=values,
+            values=values,
         )
 
     @functools.cached_property
@@ -77,7 +77,7 @@ def later_errors(errors: np.ndarray, config: OperatorConfig, rng: np.random.Gene
     return share * errors + math.sqrt(1 - share**2) * draw_errors(len(errors) - 5, config, rng)
 
 
-def perceive(scene: Seen, errors: np.ndarray, config: OperatorConfig, rng: np.random.Generator) -> Seen:
+def perceive(scene: Percept, errors: np.ndarray, config: OperatorConfig, rng: np.random.Generator) -> Percept:
     """Returns the scene with errors of vision, see `draw_errors`, and with new noise on forces at each call.
 
     Only positions relative to the object matter, so the object's own position has no error.
@@ -89,22 +89,22 @@ def perceive(scene: Seen, errors: np.ndarray, config: OperatorConfig, rng: np.ra
         return RigidTransform(turn @ X.rotation(), X.translation() + p)
 
     factor = 1 + rng.normal(0, config.contact_noise, len(scene.p_WF))
-    return Seen(
+    return Percept(
         scene.p_WF + p_F,
         moved(scene.X_WB, turn_B, p_B),
         moved(scene.X_WO, turn_O, np.zeros(3)),
         # A felt force is never negative.
         scene.contact * np.maximum(factor, 0) * config.touch,
         scene.X_WP and moved(scene.X_WP, turn_P, p_P),
-        scene.percepts,
+        scene.values,
     )
 
 
-def averaged(before: np.ndarray | None, now: np.ndarray, config: OperatorConfig) -> np.ndarray:
+def averaged(average: np.ndarray | None, value: np.ndarray, config: OperatorConfig) -> np.ndarray:
     """Returns the low-passed value over about `judging_time`; single samples are noisier than the tolerances.
 
     `before` is the average one period ago; None at the first sample.
     """
-    if before is None:
-        return now
-    return before + config.period / (config.period + config.judging_time) * (now - before)
+    if average is None:
+        return value
+    return average + config.period / (config.period + config.judging_time) * (value - average)

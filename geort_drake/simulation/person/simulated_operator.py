@@ -10,7 +10,7 @@ from pydrake.systems.framework import Context, EventStatus, State
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.engine import Memory, Person
-from geort_drake.simulation.person.perception import Seen
+from geort_drake.simulation.person.perception import Percept
 from geort_drake.systems.python_system import PythonSystem
 
 
@@ -98,14 +98,14 @@ class SimulatedOperator(PythonSystem):
         return context.get_abstract_state(0).get_value()
 
     def _decide(self, context: Context, state: State) -> EventStatus:
-        before = self.memory(context)
+        memory = self.memory(context)
         if context.get_time() < self._vision_start:
             return EventStatus.DidNothing()
         values = {name: port.Eval(context).copy() for name, port in self._inputs.items()}
-        after = self._person.step(before, context.get_time(), Seen.of_ports(values))
-        state.get_mutable_abstract_state(0).set_value(after)
-        if after.theta is not self._posture:
-            self._posture, self._p_HK = after.theta, self._hand.keypoints(after.theta)
+        decision = self._person.step(memory, context.get_time(), Percept.of_ports(values))
+        state.get_mutable_abstract_state(0).set_value(decision)
+        if decision.theta is not self._posture:
+            self._posture, self._p_HK = decision.theta, self._hand.keypoints(decision.theta)
         keypoints = self._p_HK.copy()
         keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
         state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())

@@ -57,17 +57,17 @@ class CapSettings:
 def judgement(settings: CapSettings) -> Judgement:
     """Returns the function that judges how far the cap is turned."""
 
-    def judge(before: Outcome, seen: Observation) -> Outcome:
-        turned = math.degrees(seen["joints"][0])
-        score, success = min(max(turned / settings.turn, 0.0), 1.0), turned >= settings.turn
-        return before.replace(
+    def judge(previous: Outcome, observation: Observation) -> Outcome:
+        angle = math.degrees(observation["joints"][0])
+        score, success = min(max(angle / settings.turn, 0.0), 1.0), angle >= settings.turn
+        return previous.replace(
             phase=int(STEPS * score),
             success=success,
             over=success,
             score=score,
-            completion_time=before.t if success else math.nan,
-            text="success" if success else f"turned by {turned:.0f}°",
-            metrics={"turned": turned},
+            completion_time=previous.t if success else math.nan,
+            text="success" if success else f"turned by {angle:.0f}°",
+            metrics={"turned": angle},
         )
 
     return judge

@@ -120,9 +120,9 @@ def judgement(
         "loose_since": math.nan,
     }
 
-    def judge(before: Outcome, seen: Observation) -> Outcome:
-        t, memory = before.t, dict(before.memory or at_start)
-        X_WO, force = vector_to_pose(seen["object_pose"]), seen["contact"].tolist()
+    def judge(previous: Outcome, observation: Observation) -> Outcome:
+        t, memory = previous.t, dict(previous.memory or at_start)
+        X_WO, force = vector_to_pose(observation["object_pose"]), observation["contact"].tolist()
         if memory["p_WO_start"] is None:
             memory["p_WO_start"] = X_WO.translation()
         height = lowest_point(X_WO) - support_height
@@ -131,8 +131,8 @@ def judgement(
         held_since, holding = math.nan, {}
         if height >= settings.height and touching >= 2:
             held_since = t if math.isnan(memory["held_since"]) else memory["held_since"]
-            held = names[seen["link_contact"] > settings.touch_force].tolist()
-            holding = memory["holding"] | {link: memory["holding"].get(link, 0.0) + PERIOD for link in held}
+            links = names[observation["link_contact"] > settings.touch_force].tolist()
+            holding = memory["holding"] | {link: memory["holding"].get(link, 0.0) + PERIOD for link in links}
             phase = GraspPhase.DONE if t - held_since >= settings.hold_time else GraspPhase.HOLD
         elif height < -settings.fallen or (math.hypot(x, y) > settings.strayed and touching == 0):
             phase = GraspPhase.THROWN
@@ -144,7 +144,7 @@ def judgement(
 
         loose_since = math.nan
         if phase in _LIFTED:
-            p_BO = vector_to_pose(seen["hand_pose"]).inverse() @ X_WO.translation()
+            p_BO = vector_to_pose(observation["hand_pose"]).inverse() @ X_WO.translation()
             if memory["p_BO_lifted"] is None:
                 memory |= {"p_BO_lifted": p_BO, "slip": 0.0}
             memory["slip"] = max(memory["slip"], float(np.linalg.norm(p_BO - memory["p_BO_lifted"])))
@@ -159,7 +159,7 @@ def judgement(
         memory["loose_since"] = loose_since
 
         if t > 0:
-            name = GraspPhase(before.phase).name
+            name = GraspPhase(previous.phase).name
             memory["durations"] = {
                 **memory["durations"],
                 name: memory["durations"].get(name, 0.0) + PERIOD,
@@ -174,7 +174,7 @@ def judgement(
         text = f"timeout: {phase.name.lower()}"
         if phase == GraspPhase.THROWN:
             text = f"thrown: {memory['last_touched'].name.lower()}"
-        return before.replace(
+        return previous.replace(
             phase=int(phase),
             success=success,
             over=over,

@@ -81,12 +81,12 @@ def judgement(settings: KeysSettings, cued: Sequence[int]) -> Judgement:
         cued: key of each cue.
     """
 
-    def judge(before: Outcome, seen: Observation) -> Outcome:
-        t, travel = before.t, seen["joints"][: len(seen["joints"]) // 2]
+    def judge(previous: Outcome, observation: Observation) -> Outcome:
+        t, travel = previous.t, observation["joints"][: len(observation["joints"]) // 2]
         # When the next cue follows, s after the task began; since when the present cue is shown, s, or NaN.
-        next_cue = before.memory.get("next_cue", settings.ready_time)
-        cued_since = before.memory.get("cued_since", math.nan)
-        presses: tuple[Press, ...] = before.memory.get("presses", ())
+        next_cue = previous.memory.get("next_cue", settings.ready_time)
+        cued_since = previous.memory.get("cued_since", math.nan)
+        presses: tuple[Press, ...] = previous.memory.get("presses", ())
         if not math.isnan(cued_since):
             press, since = presses[-1], t - cued_since
             depth, others = float(travel[press.key]), float(np.delete(travel, press.key).max(initial=0.0))
@@ -100,20 +100,20 @@ def judgement(settings: KeysSettings, cued: Sequence[int]) -> Judgement:
             presses = (*presses[:-1], press)
             is_up = travel[press.key] < settings.still
             if since > settings.cue_time - 1e-9 or (press.depth > settings.depth and is_up):
-                cued_since, next_cue = math.nan, t - before.began + settings.rest_time
-        elif t - before.began > next_cue - 1e-9:
+                cued_since, next_cue = math.nan, t - previous.began + settings.rest_time
+        elif t - previous.began > next_cue - 1e-9:
             presses, cued_since = (*presses, Press(cued[len(presses)])), t
         pressed = [press for press in presses if press.depth > settings.depth]
         still = sum(press.others < settings.still for press in presses)
-        clean = sum(press.others < settings.still for press in pressed)
+        clean_presses = sum(press.others < settings.still for press in pressed)
         over = len(presses) == len(cued) and math.isnan(cued_since)
-        success = over and clean >= settings.enough
+        success = over and clean_presses >= settings.enough
         faults = f"{len(presses) - len(pressed)} not pressed, {len(presses) - still} with others"
-        return before.replace(
+        return previous.replace(
             phase=0 if math.isnan(cued_since) else presses[-1].key + 1,
             success=success,
             over=over,
-            score=clean / len(cued),
+            score=clean_presses / len(cued),
             completion_time=t if success else math.nan,
             text="success" if success else faults,
             memory={"next_cue": next_cue, "cued_since": cued_since, "presses": presses},
