@@ -10,6 +10,9 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 from packaging.version import Version
 
+from geort_drake.hands.hand import Hand
+from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
+
 ROOT = Path(__file__).resolve().parents[1]
 # They judge the sources or build the site.
 TOOLS = {
@@ -54,7 +57,7 @@ def test_the_newest_version_is_within_the_range(name):
     assert pins("constraints.txt")[name] in ranges()[name].specifier
 
 
-STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {"affine_map"}
+STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {"affine_map", "worsened"}
 BENCHMARKS = {path.stem for path in (ROOT / "benchmarks").glob("bench_*.py")}
 PROGRAMS = [*(f"studies.{name}" for name in STUDIES), *(f"benchmarks.{name}" for name in BENCHMARKS)]
 
@@ -101,7 +104,7 @@ def test_a_task_speaks_for_people_to_whom_it_reveals_a_fault_of_two_families():
     for key in gates.keys_of(["keys"], ["adaptive", "servo"], seeds=4, scripted_seeds=2):
         fault, _, size = key.condition.partition("=")
         spoils = (key.method, fault) in spoiled and (key.kind == "adaptive" or key.method == "geort")
-        score = 1.0 - gates.FAULTS[fault].sizes.index(float(size)) / 3 if spoils else 1.0
+        score = 1.0 - gates.SIZES[fault].index(float(size)) / 3 if spoils else 1.0
         result = {"success": key.method != "hold", "score": score, "completion_time": 9.0, "outcome": ""}
         rows.append({**key._asdict(), **result, "timeout": 30.0})
     text = gates.report(rows)
@@ -111,7 +114,7 @@ def test_a_task_speaks_for_people_to_whom_it_reveals_a_fault_of_two_families():
 
 
 def test_worsened_maps_mix_turn_shrink_open_or_shake_the_motion_of_fingers():
-    gates = importlib.import_module("studies.gates")
+    worsened = importlib.import_module("worsened")
     rest, moved = np.zeros((4, 3)), np.zeros((4, 3))
     moved[1] = 0.01, 0.0, 0.0  # the index finger, out of the palm
 
@@ -121,7 +124,7 @@ def test_worsened_maps_mix_turn_shrink_open_or_shake_the_motion_of_fingers():
     echo.joint_names = ()
 
     def answer(fault: str, size: float, rest: np.ndarray = rest, p_HF: np.ndarray = moved) -> np.ndarray:
-        return gates.WorsenedMap(echo, rest, range(4), fault, size, 0)(p_HF)
+        return worsened.WorsenedMap(echo, rest, range(4), {fault: size}, 0)(p_HF)
 
     np.testing.assert_allclose(answer("mixed", 0.5), [[0, 0, 0], moved[1], 0.25 * moved[1], 0.25 * moved[1]])
     turned = answer("turned", 60.0)
@@ -133,8 +136,51 @@ def test_worsened_maps_mix_turn_shrink_open_or_shake_the_motion_of_fingers():
     pinch = np.array([[0.0, 0, 0], [0.01, 0, 0], [0, 0.04, 0], [0, 0, 0.1]])
     opened = answer("gapped", 20.0, apart, pinch) - pinch
     np.testing.assert_allclose(opened, [[0, 0, 0], [0.02, 0, 0], [0, 0.01, 0], [0, 0, 0]], atol=1e-12)
-    shaken = gates.WorsenedMap(echo, rest, range(4), "jittering", 2.0, 0)
+    shaken = worsened.WorsenedMap(echo, rest, range(4), {"jittering": 2.0}, 0)
     noise = np.array([shaken(moved) - moved for _ in range(500)])
     assert noise.std() == pytest.approx(0.002, rel=0.05)
     shaken.reset()
     np.testing.assert_array_equal(shaken(moved) - moved, noise[0])
+    drifting = worsened.WorsenedMap(echo, rest, range(4), {"drifting": 10.0}, 0)
+    ways = np.linalg.norm([drifting(moved) - moved for _ in range(2000)], axis=2)
+    np.testing.assert_allclose(ways[[499, 999, 1499]], [[0.01] * 4, [0.0] * 4, [0.01] * 4], atol=1e-12)
+    # Along the finger's axis, the gain is 0.5 on one side and 1.5 on the other.
+    line = np.zeros((200, 4, 3))
+    line[:, 1, 0] = np.linspace(-0.15, 0.15, 200)
+    uneven = worsened.WorsenedMap(echo, rest, range(4), {"uneven": 3.0}, 0)
+    axis = worsened._directions(np.random.default_rng(0), 4)[1]
+    steps = np.diff([uneven(p)[1] for p in axis * line[:, :, :1]], axis=0) @ axis / (0.3 / 199)
+    assert steps[0] == pytest.approx(0.5, abs=0.01) and steps[-1] == pytest.approx(1.5, abs=0.01)
+
+
+def test_twisted_maps_turn_distal_links_without_moving_the_fingertips():
+    worsened = importlib.import_module("worsened")
+    hand = Hand("allegro_right").kinematics()
+    solver = NumpyKinematics(hand)
+    q = hand.lower + 0.4 * (hand.upper - hand.lower)
+
+    def constant(p_HF):
+        return q
+
+    constant.joint_names = hand.joint_names
+    twisted = worsened.WorsenedMap(constant, np.zeros((4, 3)), range(4), {"twisted": 0.4}, 0, solver)
+    answer = twisted(np.zeros((21, 3)))
+    moved = np.linalg.norm(solver.fingertips(answer[None]) - solver.fingertips(q[None]), axis=-1)
+    assert moved.max() < 0.0005
+    np.testing.assert_allclose(np.linalg.norm((answer - q).reshape(4, 4), axis=1), 0.4, rtol=0.1)
+
+
+def test_the_study_of_criteria_finds_which_faults_cost_score_and_how_much():
+    criteria = importlib.import_module("criteria")
+    design = np.array([[2.0 * spoils - 1.0 for spoils in row.values()] for row in criteria.design()])
+    np.testing.assert_array_equal(design.T @ design, 16 * np.eye(7))
+    np.testing.assert_array_equal(design[0::2], -design[1::2])
+    rng, rows = np.random.default_rng(0), []
+    for key in criteria.keys_of(["keys"], ["servo"]):
+        score = 1.0 - 0.3 * ("turned" in key.condition) + rng.normal(0.0, 0.05)
+        result = {"success": True, "score": score, "completion_time": 9.0, "outcome": ""}
+        rows.append({**key._asdict(), **result, "timeout": 30.0})
+    assert len({(row["condition"], row["seed"]) for row in rows}) == 48
+    table = criteria.effects(criteria.frame_of(rows)).set_index("criterion")
+    assert table["low"]["direction"] < -0.3 < table["high"]["direction"]
+    assert list(table.index[table["p_holm"] < 0.05]) == ["direction"]
