@@ -16,7 +16,7 @@ from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
 from geort_drake.live.web import control as page_control
 from geort_drake.live.web.control import PageControl
 from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset, Stop
-from geort_drake.people.recording_log import RecordingLog, read_log
+from geort_drake.people.recording_log import RecordingLog, recover
 from geort_drake.simulation.task import Outcome
 from geort_drake.simulation.tasks import task_names
 from geort_drake.simulation.tasks.grasp import GraspPhase
@@ -180,22 +180,23 @@ def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_log(tmp_path, mon
         def close(self) -> None:
             pass
 
-    def append_unless_full(log, *frames):
+    def append_unless_full(log, row):
         if full:
             log._file = FullDisk()
-        append(log, *frames)
+        append(log, row)
 
     monkeypatch.setattr(RecordingLog, "append", append_unless_full)
     page.run(Record(keep=True), Engage())
     (log,) = tmp_path.glob("*.log")
-    while read_log(log) is None:  # until frames are written
-        page.run(steps=10)
+    page.run(steps=10)
     full = True
     while "No space left" not in page.control.note:
         page.run(steps=10)
     page.control.end()
     page.control.close()
-    assert read_log(log) is not None
+    with pytest.warns(UserWarning, match="interrupted"):
+        recover(tmp_path)
+    assert len(Recording.load(log.with_suffix(""))) > 5
     page.control._published = 0.0
     page.run()
     assert json.loads(page.states[-1])["recording"] is None

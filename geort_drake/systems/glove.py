@@ -1,7 +1,7 @@
 """Replays, mirrors and records the ports of a glove and a tracker."""
 
 import bisect
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -12,7 +12,7 @@ from geort_drake.errors import RecordingError
 from geort_drake.people.checks import require_hand
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.recording import Recording
-from geort_drake.people.recording_log import RecordingLog
+from geort_drake.people.recording_log import RecordingLog, recording_of_rows
 from geort_drake.systems.port_values import mirrored_pose, pose_to_vector, vector_to_pose
 from geort_drake.systems.python_system import PythonSystem
 
@@ -102,9 +102,6 @@ class HandMirror(PythonSystem):
         output.set_value(mirrored_pose(self._wrist_pose.Eval(context)))
 
 
-_WRITE_AFTER = 1.0  # s; a crash loses the samples since then
-
-
 class GloveRecorder(PythonSystem):
     """Samples a glove's ports at a fixed period, for `recording`, or to a log that `switch` gives.
 
@@ -123,20 +120,12 @@ class GloveRecorder(PythonSystem):
     Args:
         period: time between samples, s.
         robot: name of a robot's port, such as "joints.command" → names of its n joints.
-        write_after: time after which samples are written to the log, s.
     """
 
-    def __init__(
-        self,
-        period: float,
-        robot: Mapping[str, Sequence[str]] | None = None,
-        write_after: float = _WRITE_AFTER,
-    ):
+    def __init__(self, period: float, robot: Mapping[str, Sequence[str]] | None = None):
         super().__init__()
-        self._log: RecordingLog | None = None
-        self._most_samples = max(round(write_after / period), 1)
-        self._paused = False
-        self._samples: list[tuple[float, np.ndarray, RigidTransform, bool, list[float]]] = []
+        self._rows: list[np.ndarray] = []
+        self._append: Callable[[np.ndarray], None] | None = self._rows.append
         self._keypoints = self.DeclareVectorInputPort("keypoints", 63)
         self._wrist = self.DeclareAbstractInputPort("wrist_pose", AbstractValue.Make(RigidTransform()))
         self._valid = self.DeclareVectorInputPort("valid", 1)
@@ -148,35 +137,19 @@ class GloveRecorder(PythonSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._sample)
 
     def _sample(self, context: Context, _state: DiscreteValues) -> EventStatus:
-        if self._paused:
+        if self._append is None:
             return EventStatus.DidNothing()
-        # Copies, because Drake overwrites port values.
-        keypoints = self._keypoints.Eval(context).reshape(21, 3).copy()
-        X_WH = RigidTransform(self._wrist.Eval(context))
-        valid = bool(self._valid.Eval(context)[0] > 0.5)
-        q = [position for port, n in self._robot for position in port.Eval(context)[:n].tolist()]
-        self._samples.append((context.get_time(), keypoints, X_WH, valid, q))
-        if self._log is not None and len(self._samples) >= self._most_samples:
-            self._write(self._log)
+        X_WH = pose_to_vector(self._wrist.Eval(context))
+        robot = [port.Eval(context)[:n] for port, n in self._robot]
+        keypoints, valid = self._keypoints.Eval(context), self._valid.Eval(context)
+        self._append(np.concatenate([[context.get_time()], keypoints, valid, X_WH, *robot]))
         return EventStatus.Succeeded()
 
     def recording(self, metadata: dict | None = None) -> Recording:
         """Returns the samples so far, with tracker poses; only without a log."""
-        t, p_HK, valid, X_WH, robot = self._arrays()
-        return Recording(t - t[0], p_HK, valid, X_WH, dict(metadata or {}), robot)
+        return recording_of_rows(np.array(self._rows), dict(metadata or {}))
 
     def switch(self, log: RecordingLog | None) -> None:
-        """Writes the samples so far to the present log, and later ones to another; None drops them."""
-        if self._log is not None and self._samples:
-            self._write(self._log)
-        self._samples.clear()
-        self._log, self._paused = log, log is None
-
-    def _write(self, log: RecordingLog) -> None:
-        log.append(*self._arrays())
-        self._samples.clear()
-
-    def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-        t, p_HK, poses, valid, q = zip(*self._samples, strict=True)
-        X_WH = np.array([pose_to_vector(X) for X in poses])
-        return np.array(t), np.array(p_HK), np.array(valid), X_WH, np.array(q) if self._robot else None
+        """Drops the samples so far, and writes later ones to a log; None drops them, too."""
+        self._rows.clear()
+        self._append = None if log is None else log.append

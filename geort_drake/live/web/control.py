@@ -143,12 +143,12 @@ class PageControl:
             return
         log, self._log = self._log, None
         self.recorder.switch(None)
-        facts = {"outcome": self._outcome(self._root), "delay": self._delay()}
+        outcome, delay = self._outcome(self._root), self._delay()
 
         # In a thread, because joining takes longer than a step of the loop.
         def finish() -> None:
             try:
-                if log.finish(facts):
+                if log.finish(outcome=outcome, delay=delay):
                     self.recordings.append(log.path)
             except GeortError as error:
                 self.note = str(error)
@@ -184,7 +184,7 @@ class PageControl:
                 self.end()
         if self._station.simulated_person != self.loop.simulated_person and not self.note:
             self.again = True
-        if self._log is not None and self._log.failed:
+        if self._log is not None and self._log.error is not None:
             self._consent = False
             self.end()
         if math.isnan(self._started):
