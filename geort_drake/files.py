@@ -102,7 +102,7 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
-        old = draft.with_name(f"{draft.name}-old")
+        backup = draft.with_name(f"{draft.name}-old")
         try:
             yield draft
             draft.chmod(_permissions(target, 0o777))
@@ -111,18 +111,18 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
                     _to_disk(path)
             # rename() cannot replace a directory that contains files, so the old one is moved first.
             if target.exists():
-                os.replace(target, old)
+                os.replace(target, backup)
             try:
                 os.replace(draft, target)
             except BaseException:
-                if old.exists():
-                    os.replace(old, target)
+                if backup.exists():
+                    os.replace(backup, target)
                 raise
         except BaseException:
             shutil.rmtree(draft, ignore_errors=True)
             raise
-        if old.exists():
-            shutil.rmtree(old)
+        if backup.exists():
+            shutil.rmtree(backup)
 
 
 @contextlib.contextmanager
@@ -212,8 +212,8 @@ def is_replaceable(target: str | os.PathLike, mark: str) -> bool:
     path = Path(target)
     if not path.exists():
         return True
-    named = path.name not in ("", "..") and not path.is_mount()
-    return named and path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))
+    is_movable = path.name not in ("", "..") and not path.is_mount()
+    return is_movable and path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))
 
 
 def write_text(target: str | os.PathLike, text: str) -> None:

@@ -103,9 +103,9 @@ def measure_latency(retarget: Retarget, recording: Recording) -> float:
     times = []
     for first in np.linspace(0, max(len(frames) - _SUCCESSIVE, 0), _PARTS).astype(int):
         for number, frame in enumerate(frames[first : first + _SUCCESSIVE]):
-            started = clock()
+            start = clock()
             retarget(frame)
             # Online methods take longer after the jump to another part.
             if number >= _WARM_UP:
-                times.append(clock() - started)
+                times.append(clock() - start)
     return float(np.median(times))

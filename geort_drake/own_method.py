@@ -55,9 +55,9 @@ class OwnMethod:
         self.reset()
         try:
             self._retarget_frame(p_HK)
-            started = time.perf_counter()
+            start = time.perf_counter()
             q = self._retarget_frame(p_HK)
-            duration = time.perf_counter() - started
+            duration = time.perf_counter() - start
         except MethodError:
             raise
         except Exception as error:

@@ -44,10 +44,10 @@ def parse_settings(assignments: Sequence[str], config: Any, what: str) -> dict[s
 
 def check_names(names: Iterable[str], config: Any, what: str) -> None:
     """Raises UnknownNameError unless every name is a setting of `config`; see `settings_of`."""
-    known = settings_of(config)
+    settings = settings_of(config)
     for name in names:
-        if name not in known:
-            raise UnknownNameError(f"setting of {what}", name, known)
+        if name not in settings:
+            raise UnknownNameError(f"setting of {what}", name, settings)
 
 
 def settings_of(config: Any) -> dict[str, Any]:

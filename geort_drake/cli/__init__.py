@@ -109,18 +109,18 @@ def _refuse(words: Sequence[str], rest: Sequence[str]) -> int:
     """Names the commands that an unknown one may stand for, and returns the exit code."""
     within = [name for name in COMMANDS if name.startswith(f"{words[0]} ")]
     if within and len(words) > 1 and not words[1].startswith("-"):
-        near = difflib.get_close_matches(" ".join(words[:2]), within, 1, 0.5)
+        matches = difflib.get_close_matches(" ".join(words[:2]), within, 1, 0.5)
     elif within:
         if _HELP & {*rest}:
             print(_overview(within))
             return 0
-        near = []
+        matches = []
     else:
-        near = difflib.get_close_matches(words[0], COMMANDS, 1, 0.5)
+        matches = difflib.get_close_matches(words[0], COMMANDS, 1, 0.5)
     choices = within or list(COMMANDS)
-    hint = f"did you mean '{near[0]}'?" if near else f"choose one of: {', '.join(choices)}"
-    named = " ".join(words[:2] if within and len(words) > 1 else words[:1])
-    print(f"{_USAGE}error: unknown command '{named}'; {hint}", file=sys.stderr)
+    hint = f"did you mean '{matches[0]}'?" if matches else f"choose one of: {', '.join(choices)}"
+    name = " ".join(words[:2] if within and len(words) > 1 else words[:1])
+    print(f"{_USAGE}error: unknown command '{name}'; {hint}", file=sys.stderr)
     return 2
 
 

@@ -111,8 +111,8 @@ class Command:
                     require_output_file(value, mark.suffix)
                 elif isinstance(mark, Check) and value is not None:
                     several = isinstance(value, tuple)
-                    for one in value if several else (value,):
-                        require(mark.fits(one), f"--{name.replace('_', '-')}", mark.expected, one)
+                    for item in value if several else (value,):
+                        require(mark.fits(item), f"--{name.replace('_', '-')}", mark.expected, item)
 
     def run(self) -> int:
         """Does the work and returns the exit code: 0 success, 1 partial success.
@@ -142,11 +142,11 @@ class ScenarioOptions:
         return load_scenario(self.scenario_file, self.scenario_name, self.scenario_text, self.hand)
 
 
-def methods_epilog(trained: bool = False) -> str:
+def methods_epilog(trained_only: bool = False) -> str:
     """Returns the help's list of all methods, or of those that are trained."""
     from geort_drake.retargeting import METHODS
 
-    methods = {name: each for name, each in METHODS.items() if each.is_trained or not trained}
+    methods = {name: each for name, each in METHODS.items() if each.is_trained or not trained_only}
     lines = [f"  {name:12} {each.summary}" for name, each in methods.items()]
     return "\n".join(["methods:", *lines])
 
@@ -236,9 +236,9 @@ def view(path: str | os.PathLike | None, pattern: str = "") -> str | None:
 
 def _program(name: str) -> list[str]:
     """Returns the name of a program installed next to this Python if the shell finds it, else its path."""
-    installed = Path(sys.executable).with_name(name)
+    script = Path(sys.executable).with_name(name)
     on_path = shutil.which(name)
-    if installed.exists():
-        same = on_path is not None and Path(on_path) == installed
-        return [name if same else min(str(installed), os.path.relpath(installed), key=len)]
+    if script.exists():
+        same = on_path is not None and Path(on_path) == script
+        return [name if same else min(str(script), os.path.relpath(script), key=len)]
     return [*_program("python"), "-m", "geort_drake"] if name == "geort-drake" else [name]

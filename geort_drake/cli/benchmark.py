@@ -127,12 +127,12 @@ class Benchmark(Command, ScenarioOptions):
         scenarios = self._scenarios()
         first = next(iter(scenarios.values()))
         objects = self._cases
-        known = dict.fromkeys(
+        known_cases = dict.fromkeys(
             itertools.chain.from_iterable(find_task(variant.task).cases() for variant in scenarios)
         )
         for name in objects:
-            if name not in known and not self.quick:
-                raise UnknownNameError("object", name, known)
+            if name not in known_cases and not self.quick:
+                raise UnknownNameError("object", name, known_cases)
         hand = Hand(first.hand)
         names = names_of(self.methods or (QUICK_METHODS if self.quick else methods_for(hand)), hand)
         if self.backend == "ray":
@@ -173,13 +173,13 @@ class Benchmark(Command, ScenarioOptions):
             ]
         else:
             bases = [self.load_scenario()]
-        known = list(dict.fromkeys(kind for base in bases for kind in find_task(base.task).kinds))
+        known_kinds = list(dict.fromkeys(kind for base in bases for kind in find_task(base.task).kinds))
         for kind in self.kinds or ():
-            if kind not in known:
-                raise UnknownNameError("kind of person for these tasks", kind, known)
+            if kind not in known_kinds:
+                raise UnknownNameError("kind of person for these tasks", kind, known_kinds)
         scenarios: dict[Variant, Scenario] = {}
         for base in bases:
-            kinds = self.kinds or (known if self.tasks else [base.kind])
+            kinds = self.kinds or (known_kinds if self.tasks else [base.kind])
             kinds = [kind for kind in kinds if kind in find_task(base.task).kinds]
             if not kinds:
                 warn(f"left out: {base.task}, which has people of other kinds only")
@@ -188,8 +188,8 @@ class Benchmark(Command, ScenarioOptions):
                 scenario.kind = kind
                 check_scenario(scenario)
                 scenarios[Variant(base.task, kind)] = scenario
-                for condition, changed in vary(scenario, self.vary).items():
-                    scenarios[Variant(base.task, kind, condition)] = changed
+                for condition, variant in vary(scenario, self.vary).items():
+                    scenarios[Variant(base.task, kind, condition)] = variant
         return scenarios
 
     def _simulate(self, benchmark: "TrialBenchmark", methods: Sequence[str]) -> None:
@@ -198,13 +198,13 @@ class Benchmark(Command, ScenarioOptions):
         from geort_drake.console import say, track, warn
 
         settings, jobs, backend = benchmark.settings, self._jobs, self.backend
-        new = not self.submit
+        is_new = not self.submit
         with TrialLog(benchmark.folder) as log:
             keys = benchmark.keys(
                 methods,
-                self._cases if new else settings.objects,
-                (self.persons if new else None) or settings.persons,
-                self._count if new else settings.trials,
+                self._cases if is_new else settings.objects,
+                (self.persons if is_new else None) or settings.persons,
+                self._count if is_new else settings.trials,
             )
             unfinished = log.unfinished(keys)
             say(f"trials: {len(keys)}, already finished: {len(keys) - len(unfinished)}")
@@ -227,11 +227,11 @@ class Benchmark(Command, ScenarioOptions):
         from geort_drake.benchmark.report import REPORT, write_report
         from geort_drake.console import print_table, warn
 
-        written = write_report(self.output)
+        report = write_report(self.output)
         rows = [
             [task, condition or kind, row["method"], str(row["trials"]), row["success"].text(),
              row["time"].text("{:.1f}", 1.0), row["difference"].text("{:+.0f}")]
-            for (task, kind, condition), figures in written.tables.items()
+            for (task, kind, condition), figures in report.tables.items()
             for row in figures.to_dict("records")
         ]  # fmt: skip
         headings = ("task", "person", "method", "trials", "success, %", "time, s", "difference")
@@ -240,11 +240,11 @@ class Benchmark(Command, ScenarioOptions):
             "the first method"
         )
         print_table(headings, rows, "Benchmark", caption, text=("person", "method"))
-        if written.errors:
-            warn(f"trials that raised an error: {written.errors}; see report.md")
-        write_json(self.json, written.to_json())
+        if report.errors:
+            warn(f"trials that raised an error: {report.errors}; see report.md")
+        write_json(self.json, report.to_json())
         finish({"Report": self.output / REPORT})
-        return 1 if written.errors else 0
+        return 1 if report.errors else 0
 
 
 def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[TrialBenchmark, list[str]]":
@@ -258,10 +258,10 @@ def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[TrialBenchm
     from geort_drake.methods import names_of
 
     settings, scenarios = read_settings(folder), read_scenarios(folder)
-    known = {name: entry["source"] for name, entry in settings.methods.items()}
+    sources = {name: entry["source"] for name, entry in settings.methods.items()}
     hand = Hand(next(iter(scenarios.values())).hand)
-    names = {name: known[name] for name in methods if name in known}
-    names |= names_of([name for name in methods if name not in known], hand)
+    names = {name: sources[name] for name in methods if name in sources}
+    names |= names_of([name for name in methods if name not in sources], hand)
     return Benchmark(folder, settings, scenarios, names), list(names)
 
 

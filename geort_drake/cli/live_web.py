@@ -91,14 +91,14 @@ def _setup(options: Any, scenario: Scenario, description: HandDescription, is_re
     tasks: dict[str, list[str]] = {}
     instructions: dict[str, str] = {}
     # Only the usual scenarios have other hands, mounts and tasks.
-    usual = not is_real and options.scenario_file is None and options.scenario_name in _MOUNTS.values()
+    is_default = not is_real and options.scenario_file is None and options.scenario_name in _MOUNTS.values()
     if not is_real:
         for name in task_names() if mount == "arm" else ("grasp",):
             task = find_task(name)
             scenarios.setdefault(name, _like(scenario, task))
             tasks[name], instructions[name] = task.cases(), task.summary
-    named = options.retargeter is None or options.retargeter in METHODS
-    hands = sorted({*shipped_maps(), scenario.hand}) if usual and named else []
+    has_method_name = options.retargeter is None or options.retargeter in METHODS
+    hands = sorted({*shipped_maps(), scenario.hand}) if is_default and has_method_name else []
     robot = "real" if is_real else "simulation"
     about = RobotInfo(
         description.side,
@@ -109,7 +109,7 @@ def _setup(options: Any, scenario: Scenario, description: HandDescription, is_re
         instructions,
         mount,
         hands,
-        [*_MOUNTS] if usual else [],
+        [*_MOUNTS] if is_default else [],
     )
     return Setup(about, scenarios, description, retarget)
 

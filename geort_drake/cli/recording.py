@@ -129,13 +129,13 @@ class CheckRecording(_Reading):
 
     def _watch(self) -> None:
         """Shows the motions that a growing file lacks until none is missing, or Ctrl-C."""
-        seen: int | None = -1  # so that a missing file is reported too
+        last_stamp: int | None = -1  # so that a missing file is reported too
         with contextlib.suppress(KeyboardInterrupt):
             while True:
                 stamp = self.input.stat().st_mtime_ns if self.input.exists() else None
-                if stamp != seen and self._print_coverage():
+                if stamp != last_stamp and self._print_coverage():
                     return
-                seen = stamp
+                last_stamp = stamp
                 time.sleep(_POLL_PERIOD_S)
 
     def _print_coverage(self) -> bool:
@@ -282,15 +282,15 @@ class ShowProtocol(Command):
             finish({}, command("recording", "protocol", output="protocol.rrd"))
             return 0
         recording, names = demonstrate(self.seed)
-        written = {}
+        outputs = {}
         if self.recording is not None:
             recording.save(self.recording)
-            written["Recording"] = self.recording
+            outputs["Recording"] = self.recording
         if self.output is not None:
             from geort_drake.export.hand_recordings import write_hand
 
             write_hand(recording, self.output, states={"step": names})
-        finish(written, view(self.output))
+        finish(outputs, view(self.output))
         return 0
 
 
@@ -301,12 +301,12 @@ def _print_report(report: dict[str, Any]) -> None:
 
     known_format = FORMATS.get(report["format"])
     kind = known_format.title if known_format else report["format"]
-    known = "known" if report["rate_known"] else "assumed"
+    rate_source = "known" if report["rate_known"] else "assumed"
     origin = f", mirrored from a {report['recorded_side']} one" if report["recorded_side"] else ""
     say(f"{report['file']}: {report['side']} hand{origin}, read as {kind}")
     say(
         f"{report['frames']} frames, {report['valid_frames']} valid, {report['duration_s']:.1f} s at "
-        f"{report['rate_hz']:.1f} Hz ({known}); wrist: {report['wrist']}"
+        f"{report['rate_hz']:.1f} Hz ({rate_source}); wrist: {report['wrist']}"
     )
     rows = [
         (

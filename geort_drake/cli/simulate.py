@@ -151,13 +151,13 @@ class Grasp(Command, ScenarioOptions):
                     update(done, len(trials), f"{stem}: {t:.1f} s simulated")
 
                 # The recording of an interrupted trial stays here, so that it never replaces a complete one.
-                recorded = self.output / "interrupted" / f"{stem}.rrd"
-                recorded.unlink(missing_ok=True)
-                path = recorded if self.rerun else None
+                draft = self.output / "interrupted" / f"{stem}.rrd"
+                draft.unlink(missing_ok=True)
+                path = draft if self.rerun else None
                 result, glove = run_trial(scenario, trial.retarget, trial.human, path, properties, show)
                 if not results:
                     _replace_run(self.output, scenario)
-                _keep_recording(recorded, self.output)
+                _keep_recording(draft, self.output)
                 glove.save(self.output / f"{stem}.glove.npz")
                 results.append(result)
                 # Written after each trial, so that an interrupted run keeps the finished ones.
@@ -287,10 +287,10 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
 
     fingers = {*load_hand(hand).finger_names}
     graspable = any(fingers.issuperset(GRIPS[grip_of(name)]) for name in DEFAULT_OBJECTS)
-    named = {"recording": recording, "hand": None if hand == "allegro_right" else hand}
+    options = {"recording": recording, "hand": None if hand == "allegro_right" else hand}
     if graspable:
-        return command("grasp", retargeter=retargeter, **named)
-    return command("explore", methods=retargeter, **named)
+        return command("grasp", retargeter=retargeter, **options)
+    return command("explore", methods=retargeter, **options)
 
 
 def _feasible(builder: "TrialBuilder", scenarios: "Sequence[Scenario]") -> "list[Scenario]":
@@ -303,17 +303,17 @@ def _feasible(builder: "TrialBuilder", scenarios: "Sequence[Scenario]") -> "list
 
     first = {scenario.object.name: scenario for scenario in reversed(scenarios)}
     names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
-    refused = {}
+    errors = {}
     for name in track("planning", names, len(names)):
         try:
             builder.plans(first[name])
         except ScenarioError as error:
-            refused[name] = error
-    if len(refused) == len(names):
-        raise refused[names[0]]
-    for reason in refused.values():
+            errors[name] = error
+    if len(errors) == len(names):
+        raise errors[names[0]]
+    for reason in errors.values():
         warn(f"left out: {reason}")
-    return [scenario for scenario in scenarios if scenario.object.name not in refused]
+    return [scenario for scenario in scenarios if scenario.object.name not in errors]
 
 
 def _origin(method: str, retarget: Any, path: Path | None) -> str:
@@ -324,7 +324,7 @@ def _origin(method: str, retarget: Any, path: Path | None) -> str:
     if path is None:
         return f"{method} (needs no training)"
     kinds = {OwnMethod: "own method", UniversalRetargeter: "universal"}
-    kind = next((name for one, name in kinds.items() if isinstance(retarget, one)), "")
+    kind = next((name for class_, name in kinds.items() if isinstance(retarget, class_)), "")
     return f"{path} ({kind})" if kind else str(path)
 
 
@@ -350,15 +350,15 @@ def _replace_run(folder: Path, scenario: "Scenario") -> None:
     write_text(folder / SCENARIO, dump_scenario(scenario))
 
 
-def _keep_recording(recorded: Path, folder: Path) -> None:
+def _keep_recording(draft: Path, folder: Path) -> None:
     """Moves a complete trial's recording and table to its folder; without them, removes an earlier run's."""
-    for file in (recorded, recorded.with_suffix(".parquet")):
+    for file in (draft, draft.with_suffix(".parquet")):
         target = folder / file.name
         target.unlink(missing_ok=True)
         if file.exists():
             file.replace(target)
     with contextlib.suppress(OSError):  # the folder may contain other files
-        recorded.parent.rmdir()
+        draft.parent.rmdir()
 
 
 def _row(result: Any) -> tuple[str, ...]:

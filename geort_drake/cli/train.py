@@ -70,7 +70,7 @@ class Train(Command):
 
     @staticmethod
     def epilog() -> str:
-        return methods_epilog(trained=True)
+        return methods_epilog(trained_only=True)
 
     def run(self) -> int:
         from geort_drake import Hand, evaluate, train_map
@@ -81,7 +81,7 @@ class Train(Command):
             return self._train_universal()
         hand, settings = Hand(self.hand), self._settings()
         recording = training_recording(self.recording, hand.description.side, self.seed)
-        started = time.perf_counter()
+        start = time.perf_counter()
         with warnings.catch_warnings():
             # The map stores the warnings, which are shown below.
             warnings.simplefilter("ignore", RuntimeWarning)
@@ -94,7 +94,7 @@ class Train(Command):
                 settings,
                 show_progress=not self.quiet,
             )
-        spent = time.perf_counter() - started
+        duration = time.perf_counter() - start
         with progress_bar(not self.quiet) as bars, bars.spinner("evaluation"):
             metrics = evaluate(retargeter, hand, recording, self.seed)
         metrics = {
@@ -105,7 +105,7 @@ class Train(Command):
         }
         retargeter.info["metrics"] = metrics
         retargeter.save(self.output)
-        title = f"{self.method} on {metrics['hand']}, seed {self.seed}, {spent:.0f} s"
+        title = f"{self.method} on {metrics['hand']}, seed {self.seed}, {duration:.0f} s"
         print_table(("metric", "value"), metric_rows(metrics), title)
         for text in retargeter.info["provenance"]["warnings"]:
             warn(text)
@@ -131,11 +131,11 @@ class Train(Command):
         if not isinstance(start, UniversalRetargeter | None):
             raise GeortError(f"--start: {self.start} is no universal map")
         p_HK = sample_population(settings.people, self.seed, settings.play_s)
-        figures, written = self._train_map(settings, p_HK, start)
+        figures, outputs = self._train_map(settings, p_HK, start)
         rows = [(figure.replace("_", " "), f"{value:.4f}") for figure, value in figures.items()]
         print_table(("figure of the training", "value"), rows, f"{self.hand}, seed {self.seed}")
         write_json(self.json, figures)
-        finish(written, try_out(self.output, self.hand, None))
+        finish(outputs, try_out(self.output, self.hand, None))
         return 0
 
     def _train_map(
@@ -173,14 +173,14 @@ class Train(Command):
             start, settings = cast("UniversalRetargeter", load_retargeter(first)), settings.refined()
         retargeter = train(settings, start, "refinement", output.with_suffix(".refined.state"))
         retargeter.info = {**retargeter.info, "first_config": start.info.get("config")}
-        written = {f"Map for {hand.description.name}": _save_universal(retargeter, hand, output)}
+        outputs = {f"Map for {hand.description.name}": _save_universal(retargeter, hand, output)}
         first.unlink(missing_ok=True)
         if (other := _other_side(hand)) is not None:
-            converted = retargeter.mirrored(kinematics, kinematics_of(other))
-            if converted is not None:
+            mirror_image = retargeter.mirrored(kinematics, kinematics_of(other))
+            if mirror_image is not None:
                 path = output.with_name(f"{other.description.name}{output.suffix}")
-                written[f"Map for {other.description.name}"] = _save_universal(converted, other, path)
-        return retargeter.info["figures"], written
+                outputs[f"Map for {other.description.name}"] = _save_universal(mirror_image, other, path)
+        return retargeter.info["figures"], outputs
 
     def _settings(self) -> dict[str, Any]:
         """Returns the method's settings from --set; later ones take precedence."""

@@ -48,17 +48,17 @@ def write_lerobot(
         OutputError: `output` exists and is no dataset.
     """
     check_replaceable(output, INFO)
-    described: dict[str, dict] = {}
+    description: dict[str, dict] = {}
     tasks: dict[str, int] = {}
     lines: list[dict] = []  # one per episode
     columns: dict[str, list[np.ndarray]] = {}  # of all episodes, for the statistics
     robot, total = None, 0
     with atomic_directory(output) as draft:
-        for number, recorded in enumerate(episodes):
+        for number, recorded_episode in enumerate(episodes):
             if fps is None:
-                fps = max(1, round(1.0 / float(np.median(np.diff(recorded.t)))))
-            frames = int(recorded.t[-1] * fps + 1e-6) + 1
-            episode = recorded.resampled(np.arange(frames) / fps)
+                fps = max(1, round(1.0 / float(np.median(np.diff(recorded_episode.t)))))
+            frames = int(recorded_episode.t[-1] * fps + 1e-6) + 1
+            episode = recorded_episode.resampled(np.arange(frames) / fps)
             features = features_of(episode)
             task = "teleoperate the robot"  # a real robot, whose objects are unknown
             if "object" in episode.facts:
@@ -78,10 +78,10 @@ def write_lerobot(
                 for name, (values, names) in features.items()
             }
             if not lines:
-                described, robot = kinds, episode.robot
-            elif kinds != described:
-                names = {**described, **kinds}
-                differing = [name for name in names if described.get(name) != kinds.get(name)]
+                description, robot = kinds, episode.robot
+            elif kinds != description:
+                names = {**description, **kinds}
+                differing = [name for name in names if description.get(name) != kinds.get(name)]
                 raise RecordingError(
                     f"{episode.name}: its {', '.join(differing)} differs from earlier episodes; all episodes "
                     "of a dataset must be of one robot"
@@ -127,10 +127,10 @@ def write_lerobot(
             "splits": {"train": f"0:{len(lines)}"},
             "data_path": DATA_PATH,
             "video_path": None,
-            "features": described,
+            "features": description,
         }
-        whole = {name: _statistics(np.concatenate(arrays)) for name, arrays in columns.items()}
-        for name, content in ((INFO, info), (STATS, whole)):
+        statistics_of_all = {name: _statistics(np.concatenate(arrays)) for name, arrays in columns.items()}
+        for name, content in ((INFO, info), (STATS, statistics_of_all)):
             text = json.dumps(content, indent=2, allow_nan=False)
             (draft / name).write_text(text + "\n", encoding="utf-8")
 
@@ -150,19 +150,21 @@ def features_of(episode: Episode) -> Features:
     frames = len(episode.t)
     last = np.arange(frames) == frames - 1
     # While the hand is lost, its last pose is repeated.
-    seen = np.maximum.accumulate(np.where(episode.glove.valid, np.arange(frames), 0))
+    last_valid = np.maximum.accumulate(np.where(episode.glove.valid, np.arange(frames), 0))
     floats: Features = {
         "action": (episode.values(commands), commands),
         "observation.state": (episode.values(measured), measured),
-        "observation.glove": (episode.glove.p_HK[seen].reshape(frames, 63), _KEYPOINTS),
+        "observation.glove": (episode.glove.p_HK[last_valid].reshape(frames, 63), _KEYPOINTS),
     }
     if (hand_pose := episode.hand_pose) is not None:
         floats["observation.hand_pose"] = (hand_pose, _POSE)
-    if handled := episode.handled_poses:
-        names = _POSE if len(handled) == 1 else [f"{body}.{name}" for body in handled for name in _POSE]
-        floats["observation.environment_state"] = (np.concatenate([*handled.values()], axis=1), names)
+    if object_poses := episode.handled_poses:
+        names = (
+            _POSE if len(object_poses) == 1 else [f"{body}.{name}" for body in object_poses for name in _POSE]
+        )
+        floats["observation.environment_state"] = (np.concatenate([*object_poses.values()], axis=1), names)
     if episode.glove.X_WH is not None:
-        floats["observation.wrist"] = (episode.glove.X_WH[seen], _POSE)
+        floats["observation.wrist"] = (episode.glove.X_WH[last_valid], _POSE)
     features: Features = {
         name: (values.astype(np.float32), labels) for name, (values, labels) in floats.items()
     }

@@ -67,8 +67,8 @@ def _unify_columns(files: list[Path]) -> None:
     schema = pa.unify_schemas([pq.read_schema(file) for file in files])
     for file in files:
         if pq.read_schema(file).names != schema.names:
-            whole = [schema.empty_table(), pq.read_table(file)]
-            pq.write_table(pa.concat_tables(whole, promote_options="default"), file)
+            tables = [schema.empty_table(), pq.read_table(file)]
+            pq.write_table(pa.concat_tables(tables, promote_options="default"), file)
 
 
 def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:

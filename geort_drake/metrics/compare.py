@@ -61,21 +61,21 @@ def held_out(recording: Recording, blocks: int) -> Parts:
         RecordingError: there are fewer than two blocks, or blocks are too short for the metrics.
     """
     frames = np.flatnonzero(recording.valid)
-    most = len(frames) // MIN_FRAMES
-    if not 2 <= blocks <= most:
+    limit = len(frames) // MIN_FRAMES
+    if not 2 <= blocks <= limit:
         raise RecordingError(
-            f"held-out blocks must be 2 to {most} for {len(frames)} valid frames (at least {MIN_FRAMES} "
+            f"held-out blocks must be 2 to {limit} for {len(frames)} valid frames (at least {MIN_FRAMES} "
             f"each), not {blocks}"
         )
     parts = {}
     for number, block in enumerate(np.array_split(frames, blocks), start=1):
-        inside = np.zeros(len(recording), dtype=bool)
-        inside[block] = True
+        in_block = np.zeros(len(recording), dtype=bool)
+        in_block[block] = True
         first, last = recording.t[block[[0, -1]]]
         away = (recording.t < first - GUARD_S) | (recording.t > last + GUARD_S)
         parts[f"block {number} of {blocks}"] = (
             dataclasses.replace(recording, valid=recording.valid & away),
-            dataclasses.replace(recording, valid=inside),
+            dataclasses.replace(recording, valid=in_block),
         )
     return parts
 
@@ -262,13 +262,13 @@ def _check_training(name: str, protocol: str, part: str, scored_on: Recording) -
         return  # a universal map
     if protocol == HELD_OUT:
         raise MapError(f"{name}: a map cannot be trained without the block; name its method instead")
-    known = recording["sha256"] == scored_on.digest
-    if protocol == SAME_PERSON and not known:
+    is_same = recording["sha256"] == scored_on.digest
+    if protocol == SAME_PERSON and not is_same:
         raise MapError(
             f"{name}: was trained on another recording than {part}; give that one to --recording, "
             "and this one to --score-on"
         )
-    if protocol != SAME_PERSON and known:
+    if protocol != SAME_PERSON and is_same:
         raise MapError(f"{name}: was trained on {part}; give another person's recording")
 
 
@@ -314,7 +314,7 @@ def report(comparison: Comparison, rows: Sequence[Row], recording: Recording, na
         recording: the training recording.
         name: name of the recording's file.
     """
-    done = [row for row in rows if "error" not in row]
+    successes = [row for row in rows if "error" not in row]
     return {
         "format": FORMAT,
         "hand": comparison.hand.description.name,
@@ -325,8 +325,8 @@ def report(comparison: Comparison, rows: Sequence[Row], recording: Recording, na
         "frame_limit": comparison.frame_limit,
         "versions": versions(),
         "protocols": {name: PROTOCOLS[name][1] for name in comparison.protocols},
-        "metrics": {metric: better(metric) for metric in dict.fromkeys(row["metric"] for row in done)},
-        "rows": done,
+        "metrics": {metric: better(metric) for metric in dict.fromkeys(row["metric"] for row in successes)},
+        "rows": successes,
         "errors": [row for row in rows if "error" in row],
         "summary": finite_json(summary(rows).to_dict("records")),
     }
@@ -341,22 +341,22 @@ def tables(comparison: Comparison, rows: Sequence[Row]) -> Iterator[Group]:
     figures = summary(rows)
     for protocol in comparison.protocols:
         heading, meaning = PROTOCOLS[protocol]
-        chosen = figures[figures["protocol"] == protocol]
+        protocol_figures = figures[figures["protocol"] == protocol]
         lines = [
             line
             for method in dict.fromkeys(row["method"] for row in rows)
-            for line in _lines(method, protocol, rows, chosen[chosen["method"] == method])
+            for line in _lines(method, protocol, rows, protocol_figures[protocol_figures["method"] == method])
         ]
-        trained = [
+        notes = [
             f"{method} was trained on {TRAINED_ON[method]}."
             for method in dict.fromkeys(row["method"] for row in rows)
             if method in TRAINED_ON
         ]
-        drawn = [_table(title, columns, lines) for title, columns in TABLES.items()]
+        protocol_tables = [_table(title, columns, lines) for title, columns in TABLES.items()]
         yield Group(
             Rule(f"{comparison.hand.description.name}: {heading}", align="left"),
-            Padding(Text("\n".join([meaning, *trained])), (0, 0, 1, 0)),
-            *filter(None, drawn),
+            Padding(Text("\n".join([meaning, *notes])), (0, 0, 1, 0)),
+            *filter(None, protocol_tables),
         )
 
 
@@ -366,8 +366,8 @@ def _lines(
     """Yields the label and the figures of each row of a method."""
     method_rows = [row for row in rows if row["method"] == method and row["protocol"] == protocol]
     cases = {(row["part"], row["seed"]) for row in method_rows}
-    failed = sum("error" in row for row in method_rows)
-    label = Path(method).name + (f" ({len(cases) - failed} of {len(cases)})" if failed else "")
+    failure_count = sum("error" in row for row in method_rows)
+    label = Path(method).name + (f" ({len(cases) - failure_count} of {len(cases)})" if failure_count else "")
     for column in ("mean", "worst_part", "worst_seed"):
         values = figures.set_index("metric")[column].dropna().to_dict()
         if column == "mean" or values:

@@ -91,13 +91,13 @@ def evaluate(
     frames = recording.fingertips(keypoints)[:frame_limit]
     distal = distal_phalanges(recording, keypoints)[:frame_limit]
     retarget = adapted(retarget, recording)
-    settled = None
+    stationary_map = None
     if isinstance(retarget, AnyTeleop):
-        settled = retarget.settled_map(frames)
+        stationary_map = retarget.settled_map(frames)
         retarget.reset()
     space = robot_space(hand, seed, ROBOT_SAMPLES) if with_coverage else None
     complete = complete_hands(retarget, hand, recording)
-    return evaluate_frames(complete, hand, frames, recording.rate_hz, seed, space, settled, distal)[0]
+    return evaluate_frames(complete, hand, frames, recording.rate_hz, seed, space, stationary_map, distal)[0]
 
 
 def adapted(retarget: Callable, recording: Recording) -> Callable:
@@ -125,15 +125,15 @@ def evaluate_frames(
     rate_hz: float,
     seed: int = 0,
     space: Sequence[np.ndarray] | None = None,
-    settled: Callable | None = None,
+    stationary_map: Callable | None = None,
     distal: np.ndarray | None = None,
 ) -> tuple[dict, np.ndarray]:
     """Computes the metrics of `evaluate` from successive fingertips `frames` (T, F, 3), m, at `rate_hz`.
 
     A retargeter with memory gets `frames` in order, as a batch. Metrics of hands that were not recorded
-    (random motion, cross-talk, flatness, gain and the context average) use `settled`, a map without memory,
-    if given. Without `space` the coverages are None, and without the directions `distal` (T, F, 3) of the
-    person's distal phalanges in H the posture is.
+    (random motion, cross-talk, flatness, gain and the context average) use `stationary_map`, a map without
+    memory, if given. Without `space` the coverages are None, and without the directions `distal` (T, F, 3)
+    of the person's distal phalanges in H the posture is.
 
     Returns:
         The metrics, and the robot's fingertips (T, F, 3) in B, m, mirrored for a left hand.
@@ -150,12 +150,12 @@ def evaluate_frames(
     fingertips = fingertips_of(hand)
 
     def g(p_HF: np.ndarray) -> np.ndarray:
-        return fingertips(_in_chunks(settled or retarget, p_HF))
+        return fingertips(_in_chunks(stationary_map or retarget, p_HF))
 
     q = _in_chunks(retarget, frames)
     p_BF = fingertips(q)
     flat, gains = flatness_and_gain(g, frames, rng)
-    collided = self_collision(hand, q)
+    collisions = self_collision(hand, q)
     tips = fingertips(hand.default_position[None])[0]
     figures = {
         "motion_preservation": motion_preservation(g, frames, rng),
@@ -167,8 +167,8 @@ def evaluate_frames(
         "gain_p95_p5": gain_ratio(gains),
         "size": size(gains, frames, fingertips(hand.sample(SIZE_SAMPLES, seed)), hand.finger_names),
         "pinch": pinch(frames, p_BF, hand.finger_names, hand.tip_radius),
-        "self_collision": collided["deep"],
-        "self_collision_raw": collided["any"],
+        "self_collision": collisions["deep"],
+        "self_collision_raw": collisions["any"],
         "posture": None if distal is None else posture(distal, distal_links(hand)(q)),
         "smoothness": smoothness(q, rate_hz),
         "jitter": jitter(retarget, fingertips, frames, p_BF, np.random.default_rng([seed, 2])),
@@ -218,14 +218,14 @@ def complete_hands(retarget: Callable, hand: Hand, recording: Recording) -> Call
     """
     if not isinstance(retarget, OwnMethod):
         return retarget
-    recorded = recording.p_HK[recording.valid].astype(float)
+    p_HK = recording.p_HK[recording.valid].astype(float)
     tips = np.asarray(hand.description.human_keypoints)
-    tree = cKDTree(recorded[:, tips].reshape(len(recorded), -1))
+    tree = cKDTree(p_HK[:, tips].reshape(len(p_HK), -1))
     method: OwnMethod = retarget
 
     def of_fingertips(p_HF: np.ndarray) -> np.ndarray:
         points = np.reshape(p_HF, (-1, len(tips), 3))
-        hands = recorded[tree.query(points.reshape(len(points), -1))[1]]
+        hands = p_HK[tree.query(points.reshape(len(points), -1))[1]]
         shift = points - hands[:, tips]
         for joint in range(3):
             hands[:, tips - joint] += (3 - joint) / 3 * shift
@@ -266,15 +266,15 @@ def engagement(
         `jump_mm`: mean distance from their places `start` (F, 3) in the default posture to the first output;
         `settling_mm`: mean distance from the first output to that after the hand has been still for 1 s.
     """
-    jumps, settled = [], []
+    jumps, drifts = [], []
     for row in np.linspace(0, len(frames) - 1, ENGAGEMENTS).astype(int):
         forget(retarget)
         outputs = [retarget(frames[row]) for _ in range(1 + round(rate_hz))]
         first, last = fingertips(np.stack([outputs[0], outputs[-1]]))
         jumps.append(np.linalg.norm(first - start, axis=-1).mean())
-        settled.append(np.linalg.norm(last - first, axis=-1).mean())
+        drifts.append(np.linalg.norm(last - first, axis=-1).mean())
     forget(retarget)
-    return {"jump_mm": float(1000 * np.mean(jumps)), "settling_mm": float(1000 * np.mean(settled))}
+    return {"jump_mm": float(1000 * np.mean(jumps)), "settling_mm": float(1000 * np.mean(drifts))}
 
 
 def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.ndarray:
@@ -284,9 +284,9 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
     times = np.empty(calls)
     for k in range(calls):
         frame = frames[k % len(frames)]
-        started = time.perf_counter()
+        start = time.perf_counter()
         retarget(frame)
-        times[k] = time.perf_counter() - started
+        times[k] = time.perf_counter() - start
     return times
 
 
@@ -294,13 +294,13 @@ def _in_chunks(retarget: Callable, p_HF: np.ndarray) -> np.ndarray:
     """Evaluates retarget(p_HF), (N, n), in chunks."""
     chunks = [p_HF[i : i + _CHUNK] for i in range(0, len(p_HF), _CHUNK)]
     q = [retarget(chunk) for chunk in chunks]
-    for points, returned in zip(chunks, q, strict=True):
-        if np.ndim(returned) != 2 or len(returned) != len(points):
+    for points, angles in zip(chunks, q, strict=True):
+        if np.ndim(angles) != 2 or len(angles) != len(points):
             raise ValueError(
-                f"a retargeter must return (N, n) for (N, F, 3); it returned {np.shape(returned)} for "
+                f"a retargeter must return (N, n) for (N, F, 3); it returned {np.shape(angles)} for "
                 f"{points.shape}"
             )
-    joined = np.concatenate(q)
-    if lost := np.count_nonzero(~np.isfinite(joined).all(axis=1)):
-        raise ValueError(f"a retargeter must return finite angles; {lost} of {len(joined)} rows are not")
-    return joined
+    q_all = np.concatenate(q)
+    if lost := np.count_nonzero(~np.isfinite(q_all).all(axis=1)):
+        raise ValueError(f"a retargeter must return finite angles; {lost} of {len(q_all)} rows are not")
+    return q_all

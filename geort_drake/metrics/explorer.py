@@ -74,18 +74,18 @@ def excerpt(
     if start_s is None:
         tips = tracked.fingertips()
         pinching = pair_distances(tips, nearest_pairs(tips, FINGER_NAMES)) < PINCH_M
-        before = np.concatenate([[0], np.cumsum(pinching)])
+        pinch_counts = np.concatenate([[0], np.cumsum(pinching)])
         ends = np.searchsorted(t, t + duration_s)
         fits = t + duration_s <= max(t[-1], duration_s)
-        start_s = float(t[np.argmax(np.where(fits, before[ends] - before[:-1], -1))])
+        start_s = float(t[np.argmax(np.where(fits, pinch_counts[ends] - pinch_counts[:-1], -1))])
     times = np.arange(start_s, min(start_s + duration_s, t[-1]) + 1e-9, 1 / rate_hz)
     if len(times) < 2:
         raise RecordingError(
             f"an excerpt from {start_s:g} s on contains {len(times)} hands; at least 2 are needed"
         )
-    resampled = tracked.at(times + recording.t[0])
+    samples = tracked.at(times + recording.t[0])
     metadata = {**recording.metadata, "start_s": start_s}
-    return dataclasses.replace(resampled, t=times - start_s, metadata=metadata)
+    return dataclasses.replace(samples, t=times - start_s, metadata=metadata)
 
 
 def response(retarget: Callable, hand: Hand, hands: Recording) -> Response:
@@ -129,8 +129,8 @@ def proportional_copy(human: np.ndarray, robot: np.ndarray) -> np.ndarray:
 def windowed_cosines(human: np.ndarray, robot: np.ndarray, window: int) -> np.ndarray:
     """Computes mean cosines (T,) between motions of fingertips (T, F, 3) over ± `window` frames."""
     rows, window = np.arange(len(human)), max(window, 1)
-    before, after = np.maximum(rows - window, 0), np.minimum(rows + window, len(human) - 1)
-    d, robot_step = human[after] - human[before], robot[after] - robot[before]
+    start, end = np.maximum(rows - window, 0), np.minimum(rows + window, len(human) - 1)
+    d, robot_step = human[end] - human[start], robot[end] - robot[start]
     length, robot_length = np.linalg.norm(d, axis=-1), np.linalg.norm(robot_step, axis=-1)
     moves = length > MIN_MOTION
     cosine = np.einsum("tfx,tfx->tf", d, robot_step) / np.maximum(length * robot_length, 1e-12)
@@ -199,7 +199,7 @@ def write_exploration(
     tips = p_HK[:, hand.description.human_keypoints]
     pairs = nearest_pairs(tips, hand.finger_names)
     gap = pair_distances(tips, pairs)
-    pinched = gap < PINCH_M
+    is_pinch = gap < PINCH_M
     with file_writer(
         path,
         application_id=APPLICATION,
@@ -207,11 +207,11 @@ def write_exploration(
         blueprint=views.blueprint(_layout(list(methods))),
         properties=properties,
     ) as writer:
-        writer.text("/about", _text(hands, methods, pinched))
+        writer.text("/about", _text(hands, methods, is_pinch))
         writer.at(hands.t)
         _write_human(writer, hand, p_HK, tips)
         white, radius = np.full((len(tips), 3), 255), 1.8 * _HUMAN_TIP_RADIUS
-        _write_pinches(writer, f"/{WORLD}/human", of_pairs(tips, pairs), pinched, white, radius)
+        _write_pinches(writer, f"/{WORLD}/human", of_pairs(tips, pairs), is_pinch, white, radius)
         writer.series("/gap/human", ["human"], 1e3 * gap[:, None], [SKIN], 2.5)
         for number, (color, (name, response)) in enumerate(
             zip(itertools.cycle(_COLORS), methods.items(), strict=False), start=1
@@ -224,7 +224,7 @@ def write_exploration(
             _write_marks(writer, hand_path, hand, response)
             colors = np.where(response.closed[:, None], _CLOSED_COLOR, _FAULT_COLOR)
             radius = 2.2 * _TIP_GROWTH * hand.tip_radius
-            _write_pinches(writer, hand_path, of_pairs(response.p_BF, pairs), pinched, colors, radius)
+            _write_pinches(writer, hand_path, of_pairs(response.p_BF, pairs), is_pinch, colors, radius)
             curves = {
                 "error": 1e3 * response.error.mean(axis=1),
                 "motion": response.cosine,
@@ -233,7 +233,7 @@ def write_exploration(
             }
             for key, values in curves.items():
                 writer.series(entity_path(key, name), [name], values[:, None], [color])
-        _write_lanes(writer, hand, methods, np.where(pinched, 1.0 + pairs[:, 1], 0.0))
+        _write_lanes(writer, hand, methods, np.where(is_pinch, 1.0 + pairs[:, 1], 0.0))
 
 
 def _write_human(writer: Writer, hand: Hand, p_HK: np.ndarray, tips: np.ndarray) -> None:
@@ -253,23 +253,25 @@ def _write_marks(writer: Writer, path: str, hand: Hand, response: Response) -> N
 
 
 def _write_pinches(
-    writer: Writer, path: str, tips: np.ndarray, pinched: np.ndarray, colors: np.ndarray, radius: float
+    writer: Writer, path: str, tips: np.ndarray, is_pinch: np.ndarray, colors: np.ndarray, radius: float
 ) -> None:
-    """Draws a cage of colours (T, 3) around pairs of tips (T, 2, 3) that should meet where `pinched` (T,)."""
-    middle, counts = tips.mean(axis=1), pinched.astype(int)
+    """Draws a cage of colours (T, 3) around pairs of tips (T, 2, 3) that should meet, where `is_pinch`."""
+    middle, counts = tips.mean(axis=1), is_pinch.astype(int)
     rows = [point[None][:count] for point, count in zip(middle, counts, strict=True)]
     shades = [color[None][:count] for color, count in zip(colors, counts, strict=True)]
     writer.points(f"{path}/pinch", rows, radius, shades, CAGE)
 
 
-def _write_lanes(writer: Writer, hand: Hand, methods: Mapping[str, Response], asked: np.ndarray) -> None:
-    """Writes lanes of the pinches that are `asked` for (T,), 1 + the finger or 0, and of each method's."""
+def _write_lanes(
+    writer: Writer, hand: Hand, methods: Mapping[str, Response], pinch_codes: np.ndarray
+) -> None:
+    """Writes a lane of the person's `pinch_codes` (T,), 1 + the finger or 0, and one of each method."""
     labels = ("–", *hand.finger_names)
-    writer.states(entity_path(_PINCH_LANE), asked, labels, [_IDLE, *finger_colors(hand.finger_names)])
+    writer.states(entity_path(_PINCH_LANE), pinch_codes, labels, [_IDLE, *finger_colors(hand.finger_names)])
     for name, response in methods.items():
         collides = np.array([len(points) > 0 for points in response.collisions])
         pinch = np.where(response.closed, 1.0, 2.0)
-        codes = np.where(collides, 3.0, np.where(asked > 0, pinch, 0.0))
+        codes = np.where(collides, 3.0, np.where(pinch_codes > 0, pinch, 0.0))
         writer.states(entity_path(name), codes, _STATES, _STATE_COLORS)
 
 
@@ -294,13 +296,13 @@ def _layout(methods: Sequence[str]) -> views.View:
     return views.Horizontal(left, right, column_shares=[5, 3])
 
 
-def _text(hands: Recording, methods: Mapping[str, Response], pinched: np.ndarray) -> str:
+def _text(hands: Recording, methods: Mapping[str, Response], is_pinch: np.ndarray) -> str:
     responses = methods.values()
     table = {
         "fingertips against a copy": [f"{1e3 * a.error.mean():.0f} mm" for a in responses],
         "direction of motion kept": [f"{np.nanmean(a.cosine):.2f}" for a in responses],
         "posture: angle of the last links": [f"{np.degrees(np.median(a.angle)):.0f}°" for a in responses],
-        "pinches closed": [f"{a.closed[pinched].mean():.0%}" if pinched.any() else "–" for a in responses],
+        "pinches closed": [f"{a.closed[is_pinch].mean():.0%}" if is_pinch.any() else "–" for a in responses],
         "self-collision": [f"{np.mean([len(points) > 0 for points in a.collisions]):.1%}" for a in responses],
     }
     return _TEXT.format(

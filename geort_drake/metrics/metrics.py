@@ -161,10 +161,10 @@ def flatness_and_gain(
     for finger in range(frames.shape[1]):
         x = frames[anchor_rows(frames[:, finger], anchors, rng)]
         d = SMALL_STEP * directions(anchors, rng)
-        here = g(x)[:, finger]
+        p_BF = g(x)[:, finger]
         ahead, behind = moved(g, x, finger, d)[:, finger], moved(g, x, finger, -d)[:, finger]
-        first = np.linalg.norm(ahead - here, axis=1)
-        second = np.linalg.norm(ahead + behind - 2 * here, axis=1)
+        first = np.linalg.norm(ahead - p_BF, axis=1)
+        second = np.linalg.norm(ahead + behind - 2 * p_BF, axis=1)
         flats.append((second**2).mean() / max((first**2).mean(), 1e-18))
         gains.append(first / SMALL_STEP)
     return float(np.mean(flats)), np.stack(gains)
@@ -200,7 +200,7 @@ def pinch(
     others = [i for i in range(len(finger_names)) if i != thumb]
     human = np.linalg.norm(frames[:, others] - frames[:, [thumb]], axis=-1)
     robot = np.linalg.norm(p_BF[:, others] - p_BF[:, [thumb]], axis=-1)
-    apart = human > APART_DISTANCE
+    is_apart = human > APART_DISTANCE
 
     def figures(distance: np.ndarray) -> dict:
         if len(distance) == 0:
@@ -216,7 +216,7 @@ def pinch(
     pairs = nearest_pairs(frames, finger_names)
     nearest = pair_distances(p_BF, pairs)[pair_distances(frames, pairs) < PINCH_M]
     return figures(nearest) | {
-        "false": float((robot[apart] <= 2 * tip_radius).mean()) if apart.any() else None,
+        "false": float((robot[is_apart] <= 2 * tip_radius).mean()) if is_apart.any() else None,
         "all_pairs": figures(robot[human < PINCH_M]),
     }
 

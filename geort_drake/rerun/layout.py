@@ -178,8 +178,8 @@ def _close_up(
     if isinstance(spec.follows, str):
         path = entity_path(WORLD, spec.follows)
         origin, contents = f"{path}/{HAND_FRAME}", f"{path}/**"
-        tracked = (row for row in reversed(hands[spec.follows]) if np.isfinite(row).all())
-        if (row := next(tracked, None)) is not None:
+        tracked_rows = (row for row in reversed(hands[spec.follows]) if np.isfinite(row).all())
+        if (row := next(tracked_rows, None)) is not None:
             R_WF = wrist_pose(row)[0]
     else:
         body, X_BF = body_and_pose(spec.follows)

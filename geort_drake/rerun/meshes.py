@@ -59,7 +59,7 @@ def draw_mesh(
 def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> list[Part]:
     """Returns one mesh per material of an OBJ file."""
     parts = list(load_mesh(path).geometry.values())
-    drawn: list[Part] = []
+    meshes: list[Part] = []
     for number, part in enumerate(parts):
         triangles = part.triangles * shape.scale3()
         material = getattr(part.visual, "material", None)
@@ -72,21 +72,21 @@ def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> lis
         else:
             opacity = float(material.kwargs.get("d", [1.0])[-1])
             look = {"albedo_factor": [*map(int, material.main_color[:3]), round(255 * opacity)]}
-        drawn.append(((str(number),) if len(parts) > 1 else (), _flat(triangles, X_BG, **look)))
-    return drawn
+        meshes.append(((str(number),) if len(parts) > 1 else (), _flat(triangles, X_BG, **look)))
+    return meshes
 
 
 def _gltf(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> list[Part]:
     """Returns a glTF file with embedded buffers and images, and its pose."""
     scene = load_mesh(path)
     has_materials = any(part.visual.defined for part in scene.geometry.values())
-    scaled = shape.scale3()[:, None] * GLTF_UP
+    axes = shape.scale3()[:, None] * GLTF_UP
     asset = rr.Asset3D(
         contents=scene.export(file_type="glb"),
         media_type="model/gltf-binary",
         albedo_factor=None if has_materials else color,
     )
-    pose = rr.Transform3D(translation=X_BG.translation(), mat3x3=X_BG.rotation().matrix() @ scaled)
+    pose = rr.Transform3D(translation=X_BG.translation(), mat3x3=X_BG.rotation().matrix() @ axes)
     return [((), asset), ((), pose)]
 
 

@@ -83,25 +83,25 @@ def add_rerun_recorder(
     elif not viewers:
         raise ScenarioError("a recorder needs a file, viewers or both; given: neither")
     scene = describe_plant(plant, scene_graph, role, followed_bodies(close_ups or {}, specs or {}))
-    recorded: dict[str, Spec] = {
+    all_specs: dict[str, Spec] = {
         "body_poses": scene,
         "contact_results": dataclasses.replace(contact or ContactSpec(), scene=scene),
         **(specs or {}),
     }
-    exported = plant_ports or {}
+    ports = plant_ports or {}
     inputs: dict[str, list[str]] = {}
     sources: dict[str, OutputPort] = {}
     names: dict[tuple[Any, int], str] = {}
-    for key, spec in recorded.items():
+    for key, spec in all_specs.items():
         inputs[key] = []
-        of_plant = lambda name: exported.get(name) or plant.GetOutputPort(name)  # noqa: E731
+        of_plant = lambda name: ports.get(name) or plant.GetOutputPort(name)  # noqa: E731
         for name, port in spec.ports(key, of_plant).items():
             # A port that several specs share is read once.
             inputs[key].append(names.setdefault((port.get_system(), int(port.get_index())), name))
             sources.setdefault(inputs[key][-1], port)
     recorder = RerunRecorder(
         None if path is None else Path(path),
-        recorded,
+        all_specs,
         inputs,
         sources,
         period,

@@ -178,7 +178,7 @@ def describe_plant(
     plant: MultibodyPlant,
     scene_graph: SceneGraph,
     role: Role = Role.kIllustration,
-    followed: Collection = (),
+    followed_bodies: Collection = (),
     root: str = f"/{WORLD}",
 ) -> PlantSpec:
     """Reads the geometry of a finalized plant.
@@ -187,7 +187,7 @@ def describe_plant(
     drawn. A geometry that cannot be drawn is left out, with a warning that names it.
 
     Args:
-        followed: indices of bodies whose poses are recorded even if nothing is drawn.
+        followed_bodies: indices of bodies whose poses are recorded even if nothing is drawn.
         root: entity path of the world frame.
     """
     inspector = scene_graph.model_inspector()
@@ -201,7 +201,7 @@ def describe_plant(
         index = int(body.index())
         geometries, drawn_role = drawn_geometries(plant, inspector, body, role)
         scene.shapes += _draw(inspector, geometries, drawn_role, scene.paths[index])
-        if not (geometries or index in followed):
+        if not (geometries or index in followed_bodies):
             continue
         if plant.IsAnchored(body):
             scene.anchored[index] = plant.EvalBodyPoseInWorld(defaults, body)
@@ -262,7 +262,7 @@ def _draw(
     All shapes of a kind share an entity: a robot has hundreds of shapes, and entities cost space and time.
     """
     batches: dict[tuple[str, Any], dict[str, list]] = defaultdict(lambda: defaultdict(list))
-    drawn: list[tuple[str, rr.AsComponents]] = []
+    shapes: list[tuple[str, rr.AsComponents]] = []
     for geometry in geometries:
         shape = inspector.GetShape(geometry)
         X_BG = inspector.GetPoseInFrame(geometry)
@@ -279,14 +279,14 @@ def _draw(
             for key, value in (row | dimensions(shape)).items():
                 batches[kind, archetype][key].append(value)
         elif mesh := draw_mesh(inspector, geometry, role, color):
-            drawn += [(f"{body_path}{entity_path(name, *part)}", archetype) for part, archetype in mesh]
+            shapes += [(f"{body_path}{entity_path(name, *part)}", archetype) for part, archetype in mesh]
         else:
             kind = type(shape).__name__
             warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=4)
     for (kind, archetype), columns in batches.items():
         # The viewer shows the name of a geometry when it is selected.
-        drawn.append((f"{body_path}/{kind}", archetype(**columns, fill_mode=SOLID, show_labels=False)))
-    return drawn
+        shapes.append((f"{body_path}/{kind}", archetype(**columns, fill_mode=SOLID, show_labels=False)))
+    return shapes
 
 
 def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:

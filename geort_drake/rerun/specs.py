@@ -205,12 +205,12 @@ class PointsSpec(Spec):
         values, X_WF = [value for value, _ in rows], np.reshape([X for _, X in rows], (-1, 3, 4))
         p_FP = _derived(self.derive, values, -1).reshape(len(rows), -1, 3) if rows else np.empty((0, 1, 3))
         p_WP = p_FP @ X_WF[:, :, :3].swapaxes(1, 2) + X_WF[:, None, :, 3]
-        drawn = np.isfinite(p_WP).all(axis=2) & (writer.times[:, None] >= self.start - 1e-9)
+        is_drawn = np.isfinite(p_WP).all(axis=2) & (writer.times[:, None] >= self.start - 1e-9)
         palette = np.atleast_2d(np.asarray(self.color))
         # A point keeps its colour when others are missing.
-        colors: Any = [palette[mask] for mask in drawn] if len(palette) > 1 else palette[0]
+        colors: Any = [palette[mask] for mask in is_drawn] if len(palette) > 1 else palette[0]
         fill = SOLID if (palette[:, 3:] < 255).any() else None
-        visible = [row[mask] for row, mask in zip(p_WP, drawn, strict=True)]
+        visible = [row[mask] for row, mask in zip(p_WP, is_drawn, strict=True)]
         writer.points(entity_path(WORLD, key), visible, self.radius, colors, fill)
 
 

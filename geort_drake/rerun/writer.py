@@ -101,9 +101,9 @@ class Writer:
         rotations = R.as_quat().reshape(*X.shape[:2], 4).astype(np.float32)
         for k, path in enumerate(paths):
             rows = None if finite[:, k].all() else finite[:, k]
-            chosen = slice(None) if rows is None else rows
+            selection = slice(None) if rows is None else rows
             columns = rr.Transform3D.columns(
-                translation=translations[chosen, k], quaternion=rotations[chosen, k]
+                translation=translations[selection, k], quaternion=rotations[selection, k]
             )
             self.columns(path, columns, rows)
 
@@ -133,10 +133,10 @@ class Writer:
         shades = [colors[i % len(colors)] for i in range(len(names))]
         self.static(path, rr.StateConfiguration(values=names, labels=names, colors=shades))
         states = state_names(codes, names)
-        before = [self.memory.get(path), *states]
-        changes = np.array([i for i, state in enumerate(states) if state != before[i]], dtype=int)
+        previous = [self.memory.get(path), *states]
+        changes = np.array([i for i, state in enumerate(states) if state != previous[i]], dtype=int)
         self.columns(path, rr.StateChange.columns(state=[states[i] for i in changes]), changes)
-        self.memory[path] = before[-1]
+        self.memory[path] = previous[-1]
 
     def points(
         self,
@@ -196,10 +196,10 @@ class Writer:
         p_WK = np.reshape(p_WK, (-1, 21, 3))
         R_WH, p_WH = wrist_pose(p_WK)
         self.poses([f"{path}/{HAND_FRAME}"], np.concatenate([R_WH, p_WH[..., None]], axis=2)[:, None])
-        drawn = np.isfinite(p_WK).all(axis=(1, 2))
-        p_WK = p_WK[drawn]
+        is_drawn = np.isfinite(p_WK).all(axis=(1, 2))
+        p_WK = p_WK[is_drawn]
         # An empty entry removes a lost hand from the view.
-        count = drawn.astype(int)
+        count = is_drawn.astype(int)
         parents, children = np.array(BONES).T
         along = p_WK[:, children] - p_WK[:, parents]
         capsules = rr.Capsules3D.columns(

@@ -216,13 +216,13 @@ class SelfCollisionGuard(PeriodicCorrection):
             opening = self._clearance + _SLACK - near.gap + near.gradient @ (q - target)
             openings = np.concatenate([openings, opening])
         # Hold the fingers in conflict, then those that would collide with the held ones.
-        held = np.zeros(len(q), dtype=bool)
+        is_held = np.zeros(len(q), dtype=bool)
         while conflict.pairs:
             in_conflict = self._hand_clearance.joints_between(conflict.pairs).any(axis=0)
-            if not (in_conflict & ~held).any():
+            if not (in_conflict & ~is_held).any():
                 return clear
-            held |= in_conflict
-            q = np.where(held, clear, target)
+            is_held |= in_conflict
+            q = np.where(is_held, clear, target)
             conflict = self._hand_clearance.near(q, _PAIRS)
         return q
 
@@ -253,11 +253,12 @@ def _smallest_change(
     The bounds low ≤ x ≤ high are imposed where the solution without them violates them.
     """
     x = _least_norm(J, opening)
-    if x is None or not ((under := x < low) | (over := x > high)).any():
+    if x is None or not ((is_under := x < low) | (is_over := x > high)).any():
         return x
     eye = np.eye(len(low))
     return _least_norm(
-        np.concatenate([J, eye[under], -eye[over]]), np.concatenate([opening, low[under], -high[over]])
+        np.concatenate([J, eye[is_under], -eye[is_over]]),
+        np.concatenate([opening, low[is_under], -high[is_over]]),
     )
 
 
@@ -342,11 +343,11 @@ class PolicyCorrection(PeriodicCorrection):
         q, v = state[: self._n], state[self._n :]
         output = self._call_policy(self._measured.Eval(context), self._desired.Eval(context)[: self._n])
         if output is None:
-            target = before = q
+            target = target_before = q
         else:
             target = np.clip(output, self._limits.lower, self._limits.upper)
-            before = context.get_discrete_state(self._positions).value()
-        q, v = self._limits.step(q, v, target, before, self._period)
+            target_before = context.get_discrete_state(self._positions).value()
+        q, v = self._limits.step(q, v, target, target_before, self._period)
         discrete_state.get_mutable_vector(self._output).SetFromVector(np.concatenate([q, v]))
         discrete_state.get_mutable_vector(self._positions).SetFromVector(target)
         discrete_state.get_mutable_vector(self._failed).SetFromVector([float(output is None)])

@@ -100,10 +100,10 @@ def find_fault(
         return HELD_NOT_FINITE
     if np.abs(keypoints).max() > REACH:
         return HELD_OUT_OF_RANGE
-    moved = np.abs(keypoints - memory["keypoints"]).max()  # NaN for the first keypoints
-    if moved != 0.0:
+    distance = np.abs(keypoints - memory["keypoints"]).max()  # NaN for the first keypoints
+    if distance != 0.0:
         gap = max(min(time - memory["changed"], _MAX_GAP), period)
-        if moved > MAX_SPEED * gap:
+        if distance > MAX_SPEED * gap:
             fault = fault or HELD_JUMPED
         memory["keypoints"], memory["changed"] = keypoints, time
     elif time - memory["changed"] > FROZEN_AFTER:

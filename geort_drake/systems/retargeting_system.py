@@ -215,12 +215,12 @@ class RetargetingSystem(PythonSystem):
         lower, upper = getattr(retarget, "lower", None), getattr(retarget, "upper", None)
         if lower is None or upper is None:
             return
-        made_for = np.stack([lower, upper], axis=1)[self._to_plant]
-        here = np.stack([self._limits.lower, self._limits.upper], axis=1)
-        differences = np.abs(made_for - here).max(axis=1)
+        expected = np.stack([lower, upper], axis=1)[self._to_plant]
+        limits = np.stack([self._limits.lower, self._limits.upper], axis=1)
+        differences = np.abs(expected - limits).max(axis=1)
         if differences.max() > _SAME_LIMITS:
             worst = int(differences.argmax())
-            (low, high), (model_low, model_high) = made_for[worst], here[worst]
+            (low, high), (model_low, model_high) = expected[worst], limits[worst]
             hands = ", ".join(getattr(retarget, "robot_hands", ())) or "its hand"
             raise HandError(
                 f"joint '{self.joint_names[worst]}' moves from {low:.3f} to {high:.3f} rad in the retargeter "

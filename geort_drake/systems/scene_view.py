@@ -85,12 +85,12 @@ class SceneView(PythonSystem):
 
     def _declare_outputs(self, sizes: dict[str, int], calculate: Callable, source: InputPort) -> None:
         """Declares ports with a common cache entry, because reading the input takes longer than the rest."""
-        cached = self.DeclareCacheEntry(
+        cache = self.DeclareCacheEntry(
             ", ".join(sizes),
             ValueProducer(lambda: AbstractValue.Make({}), weak_callback(self, calculate)),
             {self.input_port_ticket(source.get_index())},
         )
-        index = cached.cache_index()
+        index = cache.cache_index()
         for name, size in sizes.items():
             self.DeclareVectorOutputPort(
                 name,
@@ -98,7 +98,7 @@ class SceneView(PythonSystem):
                 lambda context, output, name=name: output.SetFromVector(
                     self.get_cache_entry(index).Eval(context)[name]
                 ),
-                {cached.ticket()},
+                {cache.ticket()},
             )
 
     def _calc_poses(self, context: Context, output: AbstractValue) -> None:

@@ -241,10 +241,10 @@ class _ArmMotion(PythonSystem):
             q[:], v[:] = self._limits.step(q, v, q, q, self._period)
             positions[self._arm] = q
             return EventStatus.Succeeded()
-        velocity, before = self._velocity.Eval(context), positions[self._arm]
+        velocity, previous = self._velocity.Eval(context), positions[self._arm]
         positions[self._active] += self._period * velocity
         if self._limited:
-            q[:], v[:] = self._limits.step(q, v, positions[self._arm], before, self._period)
+            q[:], v[:] = self._limits.step(q, v, positions[self._arm], previous, self._period)
         else:
             q[:], v[:] = positions[self._arm], velocity[self._arm_of_active]
         return EventStatus.Succeeded()
