@@ -1,15 +1,15 @@
-"""The formats of recordings: a function each from a file's contents to times, keypoints and side.
+"""The formats of recordings: a function each from a file to times, keypoints and side.
 
-Contents are a dict of arrays (.npz, or .npy under the name "data"), a `Table` (.csv), or the objects of a
-JSON file; numbers in text count as numbers. A field that is there is read or refused, never taken for absent.
-A single frame that cannot be read shows no hand; `read_recording` counts such frames.
+A field that is there is read or refused, never taken for absent; numbers in text count as numbers. A single
+frame that cannot be read shows no hand; `read_recording` counts such frames.
 """
 
 import csv
+import itertools
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +26,22 @@ NODE_COUNT = 25
 KEYPOINTS_OF_25 = tuple(i for i in range(NODE_COUNT) if i not in (5, 10, 15, 20))
 
 _POINTS = (KEYPOINT_COUNT, 3)
+
+
+class File(NamedTuple):
+    """What a file contains, whatever its kind. Fields without a value are left out.
+
+    Attributes:
+        stem: name of the file without suffix.
+        fields: what holds for the whole file, by name: the arrays of .npz, that of .npy as "data", the
+            columns of .csv as lists of text, or the fields of an object in JSON.
+        frames: the fields of each frame of a list in JSON, or of a list called "frames" in an object; a frame
+            that cannot be read has none.
+    """
+
+    stem: str
+    fields: dict[str, Any]
+    frames: list[dict[str, Any]]
 
 
 class Track(NamedTuple):
@@ -49,30 +65,30 @@ class Track(NamedTuple):
 
 
 class Format(NamedTuple):
-    """One format: description, suffixes of its files, and its functions on a file's contents.
+    """One format: description, suffixes of its files, and its functions on a file.
 
     Attributes:
-        recognizes: tells whether contents have this format.
+        recognizes: tells whether a file has this format.
         read: returns the hand of the requested side; raises RecordingError if the meaning is open.
     """
 
     title: str
     suffixes: tuple[str, ...]
-    recognizes: Callable[[Any], bool]
-    read: Callable[[Any, str], Track]
+    recognizes: Callable[[File], bool]
+    read: Callable[[File, str], Track]
 
 
-def read_keypoint_array(contents: Any, side: str) -> Track:
+def read_keypoint_array(file: File, side: str) -> Track:
     """Reads arrays of keypoints, such as GeoRT's.
 
     (T, 21, 3) in .npy, m, in the wrist frame H or any other frame, such as MediaPipe's world landmarks.
 
     Source: https://github.com/facebookresearch/GeoRT, README.
     """
-    return Track(None, array_of(contents, "data", _POINTS))
+    return Track(None, array_of(file, "data", _POINTS))
 
 
-def read_manus(contents: Any, side: str) -> Track:
+def read_manus(file: File, side: str) -> Track:
     """Reads MANUS raw skeletons.
 
     `data` (T, 25, 7) of px py pz and a quaternion, m, and Unix `timestamps`, s. Nodes: wrist 0; thumb 1-4
@@ -81,13 +97,13 @@ def read_manus(contents: Any, side: str) -> Track:
 
     Source: https://github.com/mimicrobotics/mimic_retargeter_lab, whose published recordings these are.
     """
-    p_WN = array_of(contents, "data", (NODE_COUNT, 7))[..., :3]
+    p_WN = array_of(file, "data", (NODE_COUNT, 7))[..., :3]
     try:
-        numbers = np.asarray(contents.get("keypoint_ids", range(NODE_COUNT))).tolist()
+        numbers = np.asarray(file.fields.get("keypoint_ids", range(NODE_COUNT))).tolist()
         p_WK = keypoints_of_nodes(p_WN, numbers)
     except (TypeError, ValueError) as error:
         raise RecordingError(f"keypoint_ids {error}") from None
-    return Track(times_of(contents, len(p_WK)), p_WK, side_of(contents), in_world=True)
+    return Track(times_of(file, len(p_WK)), p_WK, side_of(file.fields), in_world=True)
 
 
 def keypoints_of_nodes(p_WN: np.ndarray, numbers: Sequence[int] = range(NODE_COUNT)) -> np.ndarray:
@@ -114,7 +130,7 @@ _CSV_JOINTS = ("Hand", *(f"Thumb_{joint}" for joint in ("CMC", "MCP", "DIP", "TI
 _PALM_ENDS = ("Hand", "Index_CMC", "Pinky_CMC")
 
 
-def read_manus_csv(contents: Any, side: str) -> Track:
+def read_manus_csv(file: File, side: str) -> Track:
     """Reads MANUS Core's CSV export.
 
     `Elapsed_Time_In_Milliseconds` and joint positions. `Hand_X` is documented for Core 2.4 without a unit
@@ -125,41 +141,32 @@ def read_manus_csv(contents: Any, side: str) -> Track:
     Sources: https://docs.manus-meta.com/2.4.0/Software/Rec/Exporting%20csv and
     https://github.com/jeannebelorgey/Metaglove-Ergo-Analysis/tree/main/data
     """
-    header = [name.strip() for name in contents.rows[0]]
-    infix, unit = ("_Position", "cm") if any("_CMC_Position_" in name for name in header) else ("", "m")
+    infix, unit = ("_Position", "cm") if "Thumb_CMC_Position_X" in file.fields else ("", "m")
     columns = [f"{joint}{infix}_{axis}" for joint in _CSV_JOINTS for axis in "XYZ"]
-    palm = [f"{joint}{infix}_{axis}" for joint in _PALM_ENDS for axis in "XYZ"]
-    if missing := [name for name in columns if name not in header]:
+    if missing := [name for name in columns if name not in file.fields]:
         raise RecordingError(
             f"the header lacks {len(missing)} of {len(columns)} columns, such as {missing[0]}"
         )
-    if twice := [name for name in (*columns, _ELAPSED) if header.count(name) > 1]:
-        raise RecordingError(f"the header has the column {twice[0]} more than once")
-    rows = contents.rows[1:]
-    p_WK = np.stack([_cells(row, header, columns) for row in rows]).reshape(-1, *_POINTS)
+    p_WK = np.transpose([_cells(file, name) for name in columns]).reshape(-1, *_POINTS)
     t = None
-    if _ELAPSED in header:
-        place = header.index(_ELAPSED)
-        texts = [row[place].strip() or None if place < len(row) else None for row in rows]
-        t = 1e-3 * stamps_of(texts, f"column {_ELAPSED}")
+    if _ELAPSED in file.fields:
+        t = 1e-3 * stamps_of([cell or None for cell in file.fields[_ELAPSED]], f"column {_ELAPSED}")
     remarks: tuple[str, ...] = ()
-    stated = {"_L": "left", "_R": "right"}.get(contents.stem[-2:])
+    stated = {"_L": "left", "_R": "right"}.get(file.stem[-2:])
     if stated == side and bent_side(p_WK, side) != side:
         p_WK = p_WK * [-1, 1, 1]
         remarks = (
             f"the axes are left-handed: by its name a {side} hand, but its fingers bend backwards; x negated",
         )
-    ends = np.stack([_cells(row, header, [name for name in palm if name in header]) for row in rows])
-    fixed = ends.shape[1] == len(palm) and np.mean(ends == np.nanmedian(ends, axis=0)) > 0.9
-    return Track(t, p_WK, stated, not fixed, unit, remarks)
+    palm = [f"{joint}{infix}_{axis}" for joint in _PALM_ENDS for axis in "XYZ"]
+    ends = [_cells(file, name) for name in palm if name in file.fields]
+    moves = len(ends) < len(palm) or np.mean([end == np.nanmedian(end) for end in ends]) <= 0.9
+    return Track(t, p_WK, stated, bool(moves), unit, remarks)
 
 
-def _cells(row: list[str], header: list[str], columns: list[str]) -> np.ndarray:
-    """Returns the numbers in some columns of a row; NaN in all if the row cannot be read."""
-    try:
-        return np.array([float(row[header.index(name)].strip() or "nan") for name in columns])
-    except (IndexError, ValueError):
-        return np.full(len(columns), np.nan)
+def _cells(file: File, name: str) -> np.ndarray:
+    """Returns a column of numbers (T,); NaN for cells that are empty or cannot be read."""
+    return np.array([number_of(cell) for cell in file.fields[name]], dtype=float)
 
 
 _WORLD = ("worldLandmarks", "hand_world_landmarks", "multi_hand_world_landmarks", "multiHandWorldLandmarks")
@@ -167,7 +174,7 @@ _HANDEDNESS = ("handedness", "handednesses", "multi_handedness", "multiHandednes
 _LABEL = ("categoryName", "category_name", "label", "displayName", "display_name")
 
 
-def read_mediapipe(contents: Any, side: str) -> Track:
+def read_mediapipe(file: File, side: str) -> Track:
     """Reads MediaPipe's world landmarks, m from the middle of the hand.
 
     JSON, a list of results or {"frames": [...]}, each with the fields of HandLandmarkerResult:
@@ -179,19 +186,17 @@ def read_mediapipe(contents: Any, side: str) -> Track:
     Sources: https://ai.google.dev/edge/mediapipe/solutions/vision/hand_landmarker and
     https://github.com/google-ai-edge/mediapipe/issues/1374
     """
-    frames = frames_of(contents)
-    stated = side_of(contents) or side
-    if frames:
-        hands = [_mediapipe_hands(frame, stated) for frame in frames]
-        p = np.stack(hands)
-        if not np.isfinite(p).any():
+    stated = side_of(file.fields) or side
+    if file.frames:
+        p = np.stack([_mediapipe_hands(frame, stated) for frame in file.frames])
+        seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
+        if not seen:
             raise RecordingError(
                 f"no frame has {_WORLD[0]}, 21 points of three numbers, for a labelled hand; image "
                 "landmarks are not metric"
             )
-        seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
     else:
-        seen = {stated: array_of(contents, "world_landmarks", _POINTS)}
+        seen = {stated: array_of(file, "world_landmarks", _POINTS)}
     fitting = [label for label, p_WK in seen.items() if bent_side(p_WK, label) == side]
     if not fitting:
         (other, *_) = seen
@@ -203,16 +208,14 @@ def read_mediapipe(contents: Any, side: str) -> Track:
             f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because "
             "MediaPipe's labels often assume mirrored images",
         )
-    return Track(times_of(contents, len(seen[label]), 1e-3), seen[label], side, remarks=remarks)
+    return Track(times_of(file, len(seen[label]), 1e-3), seen[label], side, remarks=remarks)
 
 
-def _mediapipe_hands(frame: Any, side: str) -> np.ndarray:
+def _mediapipe_hands(frame: dict[str, Any], side: str) -> np.ndarray:
     """Returns landmarks (2, 21, 3) of the left and right hand, NaN where unseen or unreadable."""
     seen = np.full((2, *_POINTS), np.nan)
-    if not isinstance(frame, Mapping):
-        return seen
     hands = next((frame[field] for field in _WORLD if frame.get(field)), None)
-    labels = next((frame[field] for field in _HANDEDNESS if frame.get(field) is not None), None)
+    labels = next((frame[field] for field in _HANDEDNESS if field in frame), None)
     if not isinstance(hands, list) or not (labels is None or isinstance(labels, list)):
         return seen
     labels = [side][: len(hands)] if labels is None else [_mediapipe_label(label) for label in labels]
@@ -240,7 +243,7 @@ _XR_JOINTS = (
 )
 
 
-def read_openxr(contents: Any, side: str) -> Track:
+def read_openxr(file: File, side: str) -> Track:
     """Reads the 26 joints of OpenXR; WebXR has 25.
 
     In m, y up: palm (OpenXR only), wrist, four of the thumb, then five each of index to little finger from
@@ -254,60 +257,57 @@ def read_openxr(contents: Any, side: str) -> Track:
     https://www.w3.org/TR/webxr-hand-input-1/ and
     https://developer.mozilla.org/en-US/docs/Web/API/XRFrame/fillPoses
     """
-    return _read_xr(contents, ("palm", *_XR_JOINTS), 1e-9)
+    return _read_xr(file, ("palm", *_XR_JOINTS), 1e-9)
 
 
-def read_webxr(contents: Any, side: str) -> Track:
+def read_webxr(file: File, side: str) -> Track:
     """Reads the 25 joints of WebXR; see `read_openxr`."""
-    return _read_xr(contents, _XR_JOINTS, 1e-3)
+    return _read_xr(file, _XR_JOINTS, 1e-3)
 
 
-def _read_xr(contents: Any, names: tuple[str, ...], unit_s: float) -> Track:
-    count, frames = len(names), frames_of(contents)
-    if frames:
-        p = np.stack([_xr_points(frame, names) for frame in frames])
+def _read_xr(file: File, names: tuple[str, ...], unit_s: float) -> Track:
+    count = len(names)
+    if file.frames:
+        p = np.stack([_xr_points(frame, names) for frame in file.frames])
     else:
-        joints = array_of(contents, "joints", (count, 3), (count, 7), (count, 4, 4), (count * 16,))
+        joints = array_of(file, "joints", (count, 3), (count, 7), (count, 4, 4), (count * 16,))
         if joints.ndim == 2 or joints.shape[-1] == 4:
             X = joints.reshape(-1, count, 4, 4)
             p = _upright(np.swapaxes(X, 2, 3) if joints.ndim == 2 else X, "joints")[..., :3, 3]
         else:
             p = joints[..., :3]
-        if "valid" in contents:
-            valid = array_of(contents, "valid", (count,))
+        if "valid" in file.fields:
+            valid = array_of(file, "valid", (count,))
             if len(valid) != len(p):
                 raise RecordingError(f"{len(valid)} valid for {len(p)} frames")
             p = np.where((np.nan_to_num(valid) != 0)[..., None], p, np.nan)
     p_WK = p[:, count - NODE_COUNT :][:, KEYPOINTS_OF_25]
-    return Track(times_of(contents, len(p), unit_s), p_WK, side_of(contents, frames), in_world=True)
+    return Track(times_of(file, len(p), unit_s), p_WK, side_of(file.fields, *file.frames), in_world=True)
 
 
-def _xr_points(frame: Any, names: tuple[str, ...]) -> np.ndarray:
-    """Returns a frame's joints (J, 3); NaN if it is lost or cannot be read."""
-    lost = np.full((len(names), 3), np.nan)
-    if not isinstance(frame, Mapping) or frame.get("isActive", True) not in (True, 1, "true"):
-        return lost
-    if "poses" in frame:
-        poses = numbers_of(frame["poses"])
-        return lost if np.shape(poses) != (16 * len(names),) else poses.reshape(-1, 4, 4)[:, 3, :3]
+def _xr_points(frame: dict[str, Any], names: tuple[str, ...]) -> np.ndarray:
+    """Returns a frame's joints (J, 3); NaN where they are lost or cannot be read."""
     joints = frame.get("joints")
-    if isinstance(joints, Mapping):
-        joints = [joints.get(name) for name in names]
-    return (
-        points_of([_xr_position(joint) for joint in joints], len(names)) if isinstance(joints, list) else lost
-    )
+    if isinstance(poses := frame.get("poses"), list):  # column by column
+        joints = [poses[start + 12 : start + 15] for start in range(0, len(poses), 16)]
+    elif isinstance(joints, Mapping):
+        joints = [_xr_position(joints.get(name)) for name in names]
+    elif isinstance(joints, list):
+        joints = [_xr_position(joint) for joint in joints]
+    active = frame.get("isActive", True) in (True, 1, "true")
+    return points_of(joints if active else None, len(names))
 
 
 def _xr_position(joint: Any) -> Any:
     if isinstance(joint, Mapping):
         flags = number_of(joint.get("locationFlags", _POSITION_VALID))
-        if not (math.isfinite(flags) and int(flags) & _POSITION_VALID):
+        if flags is None or not math.isfinite(flags) or not int(flags) & _POSITION_VALID:
             return None
         joint = joint.get("pose", joint)
     return joint["position"] if isinstance(joint, Mapping) and "position" in joint else joint
 
 
-def read_vision_pro(contents: Any, side: str) -> Track:
+def read_vision_pro(file: File, side: str) -> Track:
     """Reads transforms of Apple Vision Pro, which avp_stream gives, in .npz.
 
     `right_fingers` (T, 25 or 27, 4, 4), m, in the wrist's frame: wrist 0, thumb 1-4, then five each of
@@ -317,9 +317,9 @@ def read_vision_pro(contents: Any, side: str) -> Track:
 
     Source: https://github.com/Improbable-AI/VisionProTeleop, README and avp_stream/utils/grpc_utils.py
     """
-    names = [name for end in ("fingers", "arm") if (name := f"{side}_{end}") in contents]
+    names = [name for end in ("fingers", "arm") if (name := f"{side}_{end}") in file.fields]
     field = names[0] if names else f"{side}_fingers"
-    X_JK = _upright(array_of(contents, field, (25, 4, 4), (27, 4, 4)), field)
+    X_JK = _upright(array_of(file, field, (25, 4, 4), (27, 4, 4)), field)
     if X_JK.shape[1] == 27:  # the wrist's own transform stays the identity
         moved = np.abs(X_JK[:, [0, 2]] - np.eye(4)).max(axis=(2, 3))
         X_JK = X_JK[:, 2 * int(np.nansum(moved[:, 1]) < np.nansum(moved[:, 0])) :]
@@ -327,10 +327,10 @@ def read_vision_pro(contents: Any, side: str) -> Track:
         raise RecordingError(
             f"{field} must be joints in the wrist's frame, whose own transform is the identity"
         )
-    p_WK, t = X_JK[:, KEYPOINTS_OF_25][..., :3, 3], times_of(contents, len(X_JK))
-    if f"{side}_wrist" not in contents:
+    p_WK, t = X_JK[:, KEYPOINTS_OF_25][..., :3, 3], times_of(file, len(X_JK))
+    if f"{side}_wrist" not in file.fields:
         return Track(t, p_WK, side)
-    X_WJ = array_of(contents, f"{side}_wrist", (1, 4, 4), (4, 4)).reshape(-1, 1, 4, 4)
+    X_WJ = array_of(file, f"{side}_wrist", (1, 4, 4), (4, 4)).reshape(-1, 1, 4, 4)
     if len(X_WJ) != len(p_WK):
         raise RecordingError(f"{len(X_WJ)} {side}_wrist for {len(p_WK)} frames")
     X_WJ = _upright(X_WJ, f"{side}_wrist")[:, 0]
@@ -357,25 +357,18 @@ def _upright(X: np.ndarray, field: str) -> np.ndarray:
     return np.where((known & upright)[:, None, None, None], X, np.nan)
 
 
-def _any_frame(contents: Any, *fields: str) -> bool:
-    return any(
-        isinstance(frame, Mapping) and any(f in frame for f in fields) for frame in frames_of(contents)
-    )
-
-
-def _joints(contents: Any) -> int:
+def _xr_count(file: File) -> int:
     """Number of joints of an XR file: 26, 25, or another one if it is none."""
-    if isinstance(contents, Mapping) and "joints" in contents:
-        width = (*np.shape(contents["joints"])[1:], 0)[0]
+    if "joints" in file.fields:
+        width = (*np.shape(file.fields["joints"])[1:], 0)[0]
         return {26 * 16: 26, 25 * 16: 25}.get(width, width)
-    frames = [frame for frame in frames_of(contents) if isinstance(frame, Mapping)]
-    lists = sum(isinstance(frame.get("joints"), list) for frame in frames)
-    objects = sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in frames)
+    lists = sum(isinstance(frame.get("joints"), list) for frame in file.frames)
+    objects = sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in file.frames)
     return 0 if lists == objects == 0 else 26 if lists > objects else 25
 
 
-def _has(*fields: str) -> Callable[[Any], bool]:
-    return lambda contents: isinstance(contents, Mapping) and any(field in contents for field in fields)
+def _has(*names: str) -> Callable[[File], bool]:
+    return lambda file: any(name in place for place in (file.fields, *file.frames) for name in names)
 
 
 _XR = (".json", ".jsonl", ".npz")
@@ -386,41 +379,39 @@ FORMATS: dict[str, Format] = {
     "manus_csv": Format(
         "MANUS Core's CSV export",
         (".csv",),
-        lambda contents: any("Thumb_CMC_" in name for name in contents.rows[0]),
+        lambda file: any("Thumb_CMC_" in name for name in file.fields),
         read_manus_csv,
     ),
-    "openxr": Format("OpenXR, 26 joints", _XR, lambda contents: _joints(contents) == 26, read_openxr),
-    "webxr": Format("WebXR, 25 joints", _XR, lambda contents: _joints(contents) == 25, read_webxr),
+    "openxr": Format("OpenXR, 26 joints", _XR, lambda file: _xr_count(file) == 26, read_openxr),
+    "webxr": Format("WebXR, 25 joints", _XR, lambda file: _xr_count(file) == 25, read_webxr),
     "vision_pro": Format("Apple Vision Pro, transforms", (".npz",), _has(*_AVP_FIELDS), read_vision_pro),
     "geort": Format("GeoRT, 21 keypoints in any frame", (".npy",), _has("data"), read_keypoint_array),
     "mediapipe": Format(
         "MediaPipe, 21 world landmarks",
         _XR,
-        lambda contents: _has("world_landmarks")(contents) or _any_frame(contents, *_WORLD, "landmarks"),
+        _has("world_landmarks", *_WORLD, "landmarks"),
         read_mediapipe,
     ),
 }
 
 
+# The names under which files may state times and the side.
 TIME_FIELDS = ("t", "timestamps", "timestamp", "time", "timestampMs", "timestamp_ms")
 _SIDE_FIELDS = ("side", "chirality", "handedness", "hand")
 # Names of other fields that say when frames were taken: one value a frame, or one rate for all.
 _CLOCK_NAMES = re.compile(r"time|stamp|clock", re.IGNORECASE)
 _RATE_NAMES = re.compile(r"fps|(frame|sampl\w*)_?rate|rate_?hz|^(rate|hz|frequency)$", re.IGNORECASE)
+_MAX_NUMBER = 1e300  # larger ones are none
 
 
-class Table(NamedTuple):
-    """A CSV file: its rows of text, header first, and its name without suffix."""
-
-    rows: list[list[str]]
-    stem: str
-
-
-def load(path: Path) -> Any:
-    """Returns a file's contents by its suffix; an unreadable line of JSON becomes None."""
+def load(path: Path) -> File:
+    """Reads a file by its suffix; an unreadable line of JSON becomes a frame without fields."""
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
-        return load_arrays(path)
+        # A single number or word is no array.
+        arrays = load_arrays(path).items()
+        fields = {name: array if array.ndim else array.item() for name, array in arrays}
+        return File(path.stem, fields, [])
     check_file(path)
     if suffix not in (".csv", ".json", ".jsonl"):
         raise RecordingError(
@@ -431,16 +422,29 @@ def load(path: Path) -> Any:
     except UnicodeDecodeError as error:
         raise RecordingError(f"{path}: not a text file in UTF-8 ({error})") from None
     if suffix == ".csv":
-        lines = [line for line in text.splitlines() if line.strip(",;\t ")]
-        if not lines:
-            raise RecordingError(f"{path}: the table is empty")
-        return Table(list(csv.reader(lines, delimiter=max(",;\t", key=lines[0].count))), path.stem)
+        return File(path.stem, _columns(path, text), [])
     if suffix == ".jsonl":
-        return [_parsed(line) for line in text.splitlines() if line.strip()]
+        return File(path.stem, {}, [_fields(_parsed(line)) for line in text.splitlines() if line.strip()])
     try:
-        return json.loads(text)
+        contents = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise RecordingError(f"{path}: not JSON: {error}") from None
+    fields = _fields(contents)
+    frames = contents if isinstance(contents, list) else fields.get("frames")
+    return File(path.stem, fields, [_fields(frame) for frame in frames] if isinstance(frames, list) else [])
+
+
+def _columns(path: Path, text: str) -> dict[str, list[str]]:
+    """Returns the columns of a table by their names."""
+    lines = [line for line in text.splitlines() if line.strip(",;\t ")]
+    if not lines:
+        raise RecordingError(f"{path}: the table is empty")
+    header, *rows = csv.reader(lines, delimiter=max(",;\t", key=lines[0].count))
+    names = [name.strip() for name in header]
+    if twice := [name for name in names if name and names.count(name) > 1]:
+        raise RecordingError(f"{path}: the header has the column {twice[0]} more than once")
+    rows = [[cell.strip() for cell in row[: len(names)]] for row in rows]
+    return {name: cells for name, *cells in itertools.zip_longest(names, *rows, fillvalue="")}
 
 
 def _parsed(line: str) -> Any:
@@ -450,85 +454,54 @@ def _parsed(line: str) -> Any:
         return None
 
 
-def frames_of(contents: Any) -> list:
-    """Returns the frames of JSON: the list that it is, or its list `frames`; otherwise an empty list."""
-    frames = contents.get("frames") if isinstance(contents, Mapping) else contents
-    return frames if isinstance(frames, list) else []
+def _fields(contents: Any) -> dict[str, Any]:
+    """Returns the fields of an object in JSON that have a value; none of anything else."""
+    fields = contents.items() if isinstance(contents, Mapping) else ()
+    return {name: value for name, value in fields if value is not None}
 
 
-def array_of(contents: Any, field: str, *shapes: tuple[int, ...]) -> np.ndarray:
-    """Returns an archive's array of floats (T, *shape), one of the shapes."""
-    if not isinstance(contents, Mapping) or field not in contents:
-        names = ", ".join(map(str, contents)) if isinstance(contents, Mapping) else type(contents).__name__
-        raise RecordingError(f"lacks {field}; it contains {names or 'nothing'}")
-    array = np.asarray(contents[field])
-    if array.dtype.kind in "US":
-        array = numbers_of(array.tolist(), field)
+def array_of(file: File, field: str, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Returns a field as an array of floats (T, *shape), one of the shapes."""
+    if field not in file.fields:
+        raise RecordingError(f"lacks {field}; it contains {', '.join(file.fields) or 'no fields'}")
+    expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
+    expected = f"{field} must be numbers of shape {expected}"
+    try:
+        array = np.asarray(file.fields[field])
+        if array.dtype.kind in "US":
+            array = array.astype(float)
+    except ValueError as error:
+        raise RecordingError(f"{expected}: {error}") from None
     if array.ndim == 0 or array.shape[1:] not in shapes or array.dtype.kind not in "fiub":
-        expected = " or ".join(f"({', '.join(['T', *map(str, shape)])})" for shape in shapes)
-        raise RecordingError(f"{field} must be numbers of shape {expected}, not {array.dtype} {array.shape}")
+        raise RecordingError(f"{expected}, not {array.dtype} {array.shape}")
     return array.astype(float)
 
 
-def times_of(contents: Any, count: int, unit_s: float = 1.0) -> np.ndarray | None:
+def times_of(file: File, count: int, unit_s: float = 1.0) -> np.ndarray | None:
     """Returns times (count,), s, or None if the file has none.
 
     Args:
-        contents: of the file.
+        file: the file.
         count: number of frames.
-        unit_s: unit of the times in frames, s; an archive's array is in s.
+        unit_s: unit of times in JSON, s; those of an archive are in s.
 
     Raises:
         RecordingError: a time is there but is no number; names field and frame.
     """
-    frames = frames_of(contents)
     fields = [
-        name
-        for name in TIME_FIELDS
-        if (isinstance(contents, Mapping) and name in contents)
-        or any(isinstance(frame, Mapping) and frame.get(name) is not None for frame in frames)
+        name for name in TIME_FIELDS if name in file.fields or any(name in frame for frame in file.frames)
     ]
     if not fields:
         return None
-    (field, *_) = fields
-    if isinstance(contents, Mapping) and field in contents:
-        values, unit_s = contents[field], unit_s if frames else 1.0
-        values = values.tolist() if isinstance(values, np.ndarray) else values
-        if np.asarray(contents[field]).dtype.kind in "Mm" or not isinstance(values, list):
-            raise RecordingError(
-                f"{field}: times must be numbers, one per frame, not {contents[field]!r:.60}"
-            )
-    else:
-        values = [frame.get(field) if isinstance(frame, Mapping) else None for frame in frames]
+    field = fields[0]
+    values = file.fields[field] if field in file.fields else [frame.get(field) for frame in file.frames]
+    if isinstance(values, np.ndarray) and values.dtype.kind not in "Mm":  # dates are no numbers
+        values = values.tolist()
+    if not isinstance(values, list):
+        raise RecordingError(f"{field}: times must be numbers, one per frame, not {values!r:.60}")
     if len(values) != count:
         raise RecordingError(f"{len(values)} {field} for {count} frames")
-    return unit_s * stamps_of(values, field)
-
-
-def unread_clock(contents: Any, count: int) -> str | None:
-    """Returns the name of a field that says when the frames were taken but is not read, or None.
-
-    Args:
-        contents: of a file in which `times_of` finds no times.
-        count: number of frames.
-    """
-    per_frame: list[str] = []
-    others: dict[str, Any] = {}
-    if isinstance(contents, Table):
-        per_frame = contents.rows[0]
-    elif isinstance(contents, Mapping):
-        others = {name: value for name, value in contents.items() if value is not None}
-        per_frame = [
-            name
-            for name, value in others.items()
-            if isinstance(value, list | np.ndarray) and np.shape(value)[:1] == (count,)
-        ]
-    for frame in frames_of(contents):
-        if isinstance(frame, Mapping):
-            per_frame += [name for name, value in frame.items() if value is not None]
-    clocks = [name for name in per_frame if _CLOCK_NAMES.search(name)]
-    rates = [name for name in [*others, *per_frame] if _RATE_NAMES.search(name)]
-    return next(iter([*clocks, *rates]), None)
+    return (unit_s if file.frames else 1.0) * stamps_of(values, field)
 
 
 def stamps_of(values: Sequence[Any], field: str) -> np.ndarray:
@@ -536,49 +509,42 @@ def stamps_of(values: Sequence[Any], field: str) -> np.ndarray:
 
     Nanoseconds since an epoch exceed a double's resolution, so integers are subtracted first.
     """
-    numbers: list[Any] = []
+    numbers = []
     for i, value in enumerate(values):
-        number = exact_number(value)
-        if number is None and value is not None:
+        if (number := number_of(math.nan if value is None else value)) is None:
             raise RecordingError(f"{field}[{i}]: times must be numbers, not {value!r:.60}")
         numbers.append(number)
-    known = [number for number in numbers if number is not None and abs(number) < 1e300]
-    start = sorted(known)[len(known) // 2] if known else 0
-    if numbers and numbers[0] in known and abs(numbers[0] - start) < 1e300:
-        start = numbers[0]
-    origin = float(start) if isinstance(start, float) or abs(start) < 2**53 else 0.0
-    shifted = [math.nan if n is None or not abs(n) < 1e300 else float(n - start) for n in numbers]
-    return np.array(shifted) + origin
+    origin = next((number for number in numbers if isinstance(number, int) and abs(number) >= 2**53), 0)
+    return np.array([float(number - origin) for number in numbers])
 
 
-def exact_number(value: Any) -> int | float | None:
-    """Returns a number, also from text, without rounding integers; None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return None
-    if isinstance(value, str):
-        for kind in (int, float):
-            try:
-                return kind(value)
-            except ValueError:
-                pass
-        return None
-    return value
-
-
-def side_of(contents: Any, frames: Iterable[Any] = ()) -> str | None:
-    """Returns the side that a file states, or None.
+def unread_clock(file: File, count: int) -> str | None:
+    """Returns the name of a field that says when the frames were taken but is not read, or None.
 
     Args:
-        contents: of the file.
-        frames: its frames, if each may state the side.
+        file: a file in which `times_of` finds no times.
+        count: number of frames.
+    """
+    per_frame = [
+        name
+        for name, value in file.fields.items()
+        if isinstance(value, list | np.ndarray) and len(value) == count
+    ]
+    per_frame += [name for frame in file.frames for name in frame]
+    clocks = [name for name in per_frame if _CLOCK_NAMES.search(name)]
+    rates = [name for name in [*file.fields, *per_frame] if _RATE_NAMES.search(name)]
+    return next(iter([*clocks, *rates]), None)
+
+
+def side_of(*places: Mapping[str, Any]) -> str | None:
+    """Returns the side that the fields of a file, or of its frames, state; or None.
 
     Raises:
         RecordingError: a side is there but is neither left nor right, or there are both.
     """
     sides: dict[str, str] = {}
-    for place in (contents, *frames):
-        names = _SIDE_FIELDS if isinstance(place, Mapping) else ()
-        field = next((name for name in names if place.get(name) is not None), None)
+    for place in places:
+        field = next((name for name in _SIDE_FIELDS if name in place), None)
         if field is None:
             continue
         side = str(place[field]).strip().lower()
@@ -593,29 +559,36 @@ def side_of(contents: Any, frames: Iterable[Any] = ()) -> str | None:
 
 
 def points_of(values: Any, count: int) -> np.ndarray:
-    """Returns points (count, 3) given as lists or as objects with x, y, z; NaN for unreadable ones."""
-    points = np.full((count, 3), np.nan)
-    if not isinstance(values, list) or len(values) != count:
-        return points
-    for i, value in enumerate(values):
-        coordinates = [value.get(axis) for axis in "xyz"] if isinstance(value, Mapping) else value
-        if isinstance(coordinates, list) and len(coordinates) >= 3:
-            points[i] = [number_of(number) for number in coordinates[:3]]
-    return points
+    """Returns points (count, 3), given as lists or as objects with x, y, z; NaN for None.
+
+    All are NaN if one of them cannot be read.
+    """
+    lost = np.full((count, 3), np.nan)
+    try:
+        points = np.array([_coordinates(value) for value in values], dtype=float)
+    except (TypeError, ValueError, KeyError, OverflowError):
+        return lost
+    return points if points.shape == lost.shape else lost
 
 
-def number_of(value: Any) -> float:
-    number = exact_number(value)
-    return math.nan if number is None or not abs(number) < 1e300 else float(number)
+def _coordinates(point: Any) -> Any:
+    if point is None:
+        return [math.nan] * 3
+    return [point[axis] for axis in "xyz"] if isinstance(point, Mapping) else point[:3]
 
 
-def numbers_of(values: Any, field: str | None = None) -> np.ndarray:
-    """Returns nested lists of numbers, also in text, as an array; others are NaN, or refused by `field`."""
-    if isinstance(values, list):
-        try:
-            return np.array([numbers_of(value, field) for value in values])
-        except ValueError:
-            return np.array(math.nan)
-    if field is not None and exact_number(values) is None:
-        raise RecordingError(f"{field} must be numbers, not {values!r:.60}")
-    return np.array(number_of(values))
+def number_of(value: Any) -> int | float | None:
+    """Returns a number, also from text, without rounding integers; None for anything else.
+
+    What is not finite, or too large for a double, is NaN.
+    """
+    if isinstance(value, str):
+        for kind in (int, float):
+            try:
+                value = kind(value)
+            except ValueError:
+                continue
+            break
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return value if abs(value) < _MAX_NUMBER else math.nan

@@ -14,7 +14,7 @@ import numpy as np
 from geort_drake.errors import RecordingError, UnknownNameError, naming
 from geort_drake.people.checks import UNITS_M, examine, require_side, require_wrist_frame_hand
 from geort_drake.people.coverage import training_faults
-from geort_drake.people.formats import FORMATS, TIME_FIELDS, Track, load, unread_clock
+from geort_drake.people.formats import FORMATS, TIME_FIELDS, File, Track, load, unread_clock
 from geort_drake.people.recording import SIDES, Recording
 
 # For files without timestamps. At 30 Hz, GeoRT's recording has fingertip speeds (99th percentile 1 m/s) that
@@ -23,7 +23,7 @@ ASSUMED_RATE_HZ = 30.0
 AUTO, OWN = "auto", "geort_drake"
 
 _MIN_UNIX_TIME_S = 1e8  # in 1973; later times are Unix times, smaller ones count from the device's start
-_MAX_UNTIMED = 0.1  # largest fraction of frames without a usable time
+_MAX_UNUSABLE = 0.1  # largest fraction of frames without a usable time, and of those that show no hand
 
 
 def read_recording(
@@ -57,13 +57,15 @@ def read_recording(
     for kind, name in (("side", side), ("unit", unit), ("format", format)):
         if name is not None and name not in names[kind]:
             raise UnknownNameError(kind, name, names[kind])
-    contents = load(path)
+    file = load(path)
     with naming(path, RecordingError):
-        is_own = format == OWN or (format == AUTO and isinstance(contents, dict) and "p_HK" in contents)
-        if is_own:
-            recording = _read_own(contents, unit)
+        is_own = format == OWN or (format == AUTO and "p_HK" in file.fields)
+        if not is_own:
+            recording = _read_foreign(path, file, side, format, unit, rate_hz)
+        elif unit not in (None, "m"):
+            raise RecordingError(f"geort-drake's own files are in metres, not in {unit}")
         else:
-            recording = _read_foreign(path, contents, side, format, unit, rate_hz)
+            recording = Recording.from_arrays(file.fields)
         require_side(recording.side, side)
         if is_own and recording.valid.any():  # of other files, the wrist frame is computed here
             require_wrist_frame_hand(recording.p_HK[recording.valid], "p_HK")
@@ -73,94 +75,90 @@ def read_recording(
     return recording
 
 
-def _read_own(contents: dict, unit: str | None) -> Recording:
-    if unit not in (None, "m"):
-        raise RecordingError(f"geort-drake's own files are in metres, not in {unit}")
-    return Recording.from_arrays(contents)
-
-
 def _read_foreign(
-    path: Path, contents: object, side: str, format: str, unit: str | None, rate_hz: float | None
+    path: Path, file: File, side: str, format: str, unit: str | None, rate_hz: float | None
 ) -> Recording:
     """Returns a recording in another format than the package's own, unchecked.
 
     It is of the side that the file states, if it states one.
     """
     suffix = path.suffix.lower()
-    if format == AUTO:
-        fitting = [
-            name for name, each in FORMATS.items() if suffix in each.suffixes and each.recognizes(contents)
-        ]
-        if not fitting:
-            choices = "; ".join(
-                f"{name} ({each.title})" for name, each in FORMATS.items() if suffix in each.suffixes
-            )
-            raise RecordingError(
-                f"contains {_summary(contents)}, which matches no known format; choose one for '{suffix}' "
-                f"files: {choices}; or make a recording of its keypoints with Recording.from_keypoints"
-            )
-        format = fitting[0]
+    format = _format_of(suffix, file) if format == AUTO else format
     if suffix not in FORMATS[format].suffixes:
         raise RecordingError(f"'{format}' is read from {', '.join(FORMATS[format].suffixes)}, not '{suffix}'")
-    track = FORMATS[format].read(contents, side)
+    track = FORMATS[format].read(file, side)
     unit = unit or track.unit
-    warnings = list(track.remarks)
-    metadata: dict = {"source": path.name, "format": format, "unit": unit}
-    t, p_WK, timed = track.t, UNITS_M[unit] * track.p_WK, True
-    if t is not None and np.isfinite(t).any():
-        order = _usable_times(t, p_WK)
-        if len(order) < len(t):
-            repeats = int(_repeats(t, p_WK).sum())
-            if (untimed := len(t) - len(order) - repeats) > _MAX_UNTIMED * len(t):
-                raise RecordingError(
-                    f"{untimed} of {len(t)} frames have no time, or one that does not increase"
-                )
-            warnings += [
-                f"{repeats} of {len(t)} frames are stored twice with the same time: left out"
-            ] * bool(repeats)
-            warnings += [
-                f"{untimed} of {len(t)} frames have no time, or one that does not increase: left out"
-            ] * bool(untimed)
-        t, p_WK = t[order], p_WK[order]
-        if t[0] > _MIN_UNIX_TIME_S:
-            metadata["start_time_unix_s"] = float(t[0])
-    else:
-        if rate_hz is None:
-            _require_no_clock(contents, track)
-        t = np.arange(len(p_WK)) / (rate_hz or ASSUMED_RATE_HZ)
-        timed = rate_hz is not None
-        if not timed:
-            warnings.append(
-                f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed; if you know better, convert with --rate"
-            )
+    rows, t, about_times = _timed_frames(file, track, rate_hz)
+    warnings = [*track.remarks, *about_times]
+    p_WK = UNITS_M[unit] * track.p_WK[rows]
     lost = ~np.isfinite(p_WK).all(axis=(1, 2)) | (np.ptp(p_WK, axis=1).max(axis=1) < 1e-6)
     if lost.any():
         first = int(np.argmax(lost))
         warnings.append(
             f"{lost.sum()} of {len(lost)} frames show no hand or cannot be read, the first is {first}"
         )
-        if lost.sum() > _MAX_UNTIMED * len(lost):
+        if lost.sum() > _MAX_UNUSABLE * len(lost):
             raise RecordingError(f"{warnings[-1]}; at most one in ten may be lost")
     recording = Recording.from_keypoints(p_WK, t, track.side or side, track.in_world)
-    metadata |= {**recording.metadata, "rate_known": timed, "warnings": warnings}
+    metadata = {"source": path.name, "format": format, "unit": unit, **recording.metadata}
+    metadata |= {"rate_known": track.t is not None or rate_hz is not None, "warnings": warnings}
+    if len(t) and t[0] > _MIN_UNIX_TIME_S:
+        metadata["start_time_unix_s"] = float(t[0])
     return dataclasses.replace(recording, metadata=metadata)
 
 
-def _require_no_clock(contents: object, track: Track) -> None:
-    """Raises RecordingError if the file says when its frames were taken, but in a way that is not read."""
-    remedy = "give the frames per second as --rate"
-    if track.t is not None:
-        raise RecordingError(f"the file has a time for each frame, but none is a finite number; {remedy}")
-    if (name := unread_clock(contents, len(track.p_WK))) is not None:
-        raise RecordingError(
-            f"the field '{name}' is not read; {remedy}, or call a time for each frame one of: "
-            f"{', '.join(TIME_FIELDS)}"
-        )
+def _format_of(suffix: str, file: File) -> str:
+    """Returns the name of the first format that a file fits."""
+    candidates = {name: each for name, each in FORMATS.items() if suffix in each.suffixes}
+    for name, each in candidates.items():
+        if each.recognizes(file):
+            return name
+    fields = [f"{name}{getattr(value, 'shape', '')}" for name, value in file.fields.items()]
+    contents = ", ".join(fields[:8]) + (", ..." if len(fields) > 8 else "")
+    choices = "; ".join(f"{name} ({each.title})" for name, each in candidates.items())
+    raise RecordingError(
+        f"contains {contents or f'{len(file.frames)} frames'}, which matches no known format; choose one for "
+        f"'{suffix}' files: {choices}; or make a recording of its keypoints with Recording.from_keypoints"
+    )
 
 
-def _usable_times(t: np.ndarray, p_WK: np.ndarray) -> np.ndarray:
-    """Returns the indices of the frames whose times increase: as many as possible, without repeats."""
-    candidates = np.flatnonzero(np.isfinite(t) & ~_repeats(t, p_WK))
+def _timed_frames(
+    file: File, track: Track, rate_hz: float | None
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Returns the numbers of the frames with usable times, these times, s, and sentences about the others.
+
+    Raises:
+        RecordingError: more than one in ten have no usable time, or the file says when its frames were taken,
+            but in a way that is not read.
+    """
+    count = len(track.p_WK)
+    if track.t is not None and np.isfinite(track.t).any():
+        repeated = _repeats(track.t, track.p_WK)
+        rows = _increasing(track.t, np.flatnonzero(np.isfinite(track.t) & ~repeated))
+        repeats, untimed = int(repeated.sum()), count - len(rows) - int(repeated.sum())
+        sentences = {
+            f"{repeats} of {count} frames are stored twice with the same time": repeats,
+            f"{untimed} of {count} frames have no time, or one that does not increase": untimed,
+        }
+        if untimed > _MAX_UNUSABLE * count:
+            raise RecordingError(next(reversed(sentences)))
+        return rows, track.t[rows], [f"{text}: left out" for text, frames in sentences.items() if frames]
+    rows, warnings = np.arange(count), []
+    if rate_hz is None:
+        remedy = "give the frames per second as --rate"
+        if track.t is not None:
+            raise RecordingError(f"the file has a time for each frame, but none is a finite number; {remedy}")
+        if (name := unread_clock(file, count)) is not None:
+            raise RecordingError(
+                f"the field '{name}' is not read; {remedy}, or call a time for each frame one of: "
+                f"{', '.join(TIME_FIELDS)}"
+            )
+        warnings = [f"no timestamps: {ASSUMED_RATE_HZ:g} Hz assumed; if you know better, convert with --rate"]
+    return rows, rows / (rate_hz or ASSUMED_RATE_HZ), warnings
+
+
+def _increasing(t: np.ndarray, candidates: np.ndarray) -> np.ndarray:
+    """Returns as many of the candidate rows of t (T,) as possible, in order, whose times increase."""
     ends: list[float] = []  # the smallest last time of the subsequences of each length
     last: list[int] = []
     before = [-1] * len(t)
@@ -176,15 +174,7 @@ def _usable_times(t: np.ndarray, p_WK: np.ndarray) -> np.ndarray:
 
 
 def _repeats(t: np.ndarray, p_WK: np.ndarray) -> np.ndarray:
+    """Returns which frames (T,) have the same time and points as the one before."""
     same = np.diff(t, prepend=np.nan) == 0
     same[1:] &= ((p_WK[1:] == p_WK[:-1]) | np.isnan(p_WK[1:])).all(axis=(1, 2))
     return same
-
-
-def _summary(contents: object) -> str:
-    if isinstance(contents, dict):
-        names = [f"{name}{getattr(value, 'shape', '')}" for name, value in contents.items()]
-        return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "") or "nothing"
-    return (
-        f"{type(contents).__name__} of {len(contents)}" if isinstance(contents, list | tuple) else "no frames"
-    )
