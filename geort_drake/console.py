@@ -38,6 +38,7 @@ _EXTRAS = {
     "onnxruntime": "onnx",
     "ray": "ray",
     "zmq": "live",
+    "msgspec": "live",
     "aiohttp": "live",
     "cryptography": "live",
 }

@@ -1,7 +1,6 @@
 """Messages between glove, loop and robot, their transports, and the whole loop in processes over loopback."""
 
 import contextlib
-import dataclasses
 import itertools
 import json
 import os
@@ -14,6 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from drake import lcmt_allegro_command, lcmt_panda_command
@@ -37,10 +37,8 @@ from geort_drake.live.messages import GloveFrame, decode, encode_frame
 from geort_drake.live.robot_buses import ALLEGRO, PANDA, LcmDevice, open_bus
 from geort_drake.live.robots import RobotLink
 from geort_drake.live.transports import (
-    LOCAL_LCM,
     MAX_BYTES,
     is_local,
-    is_routed_to_network,
     open_receiver,
     open_sender,
     split_address,
@@ -77,7 +75,7 @@ def test_a_frame_arrives_to_the_last_bit():
     ):
         got = decode(encode_frame(sent), "right")
         assert got is not None
-        assert (got.side, got.time, got.repaired) == (sent.side, sent.time, False)
+        assert (got.side, got.time) == (sent.side, sent.time)
         for name in ("p_HK", "X_WH"):
             np.testing.assert_array_equal(getattr(got, name), getattr(sent, name))
 
@@ -85,7 +83,7 @@ def test_a_frame_arrives_to_the_last_bit():
 def test_a_quaternion_of_another_norm_is_scaled():
     """Trackers round; only a norm that is far off makes the message unusable."""
     frame = decode(own(X_WH=[0.54, 0.72, 0, 0, 1, 2, 3]), "right")
-    assert frame is not None and frame.repaired
+    assert frame is not None
     np.testing.assert_allclose(frame.X_WH, [0.6, 0.8, 0, 0, 1, 2, 3])
     with pytest.raises(LiveError, match=r"unit quaternion, not .*, whose norm is 0\.5"):
         decode(own(X_WH=[0.5, 0, 0, 0, 1, 2, 3]), "right")
@@ -117,21 +115,24 @@ def test_a_glove_is_chosen_by_its_serial_number():
 
 REFUSED = {
     "no text": (bytes(range(256)), "expected 176 values"),
-    "cut off": (own()[:-1], "not JSON"),
-    "deeply nested": (b'{"a":' * 10_000, "not JSON"),
-    "another object": (b"{}", "neither of format"),
+    "cut off": (own()[:-1], "truncated"),
+    "deeply nested": (b'{"format":' * 10_000, "glove message"),
+    "another object": (b"{}", "missing required field `format`"),
+    "another format": (own(format="a.b"), r"Invalid enum value 'a\.b' - at `\$\.format`"),
     "too long": (own() + b" " * MAX_BYTES, "at most 65536 are read"),
-    "NaN": (own(time=float("nan")), "NaN is no number"),
-    "infinity": (own().replace(b"12.5", b"1e999"), "time must be finite"),
-    "a huge integer": (own(time=10**400), "time must be a number"),
-    "a missing field": (own(X_WH=...), "differs in X_WH"),
-    "flat keypoints": (own(p_HK=HAND[:, :2].tolist()), r"p_HK must be numbers of shape \(21, 3\)"),
-    "keypoints of words": (own(p_HK=[["a", "b", "c"]] * 21), "p_HK must be numbers"),
-    "keypoints far away": (own(p_HK=(1e4 * HAND).tolist()), "at most 100"),
-    "no side": (own(side="both"), "side must be one of left, right"),
-    "24 nodes": (dumped({**NODES, "raw_nodes": NODES["raw_nodes"][:24]}), "raw_nodes must be"),
-    "a node twice": (dumped({**NODES, "raw_nodes": [NODES["raw_nodes"][0]] * 25}), "node_id from 0 to 24"),
-    "nodes of nothing": (dumped({**NODES, "raw_nodes": [None] * 25}), "node_id from 0 to 24"),
+    "NaN": (own(time=float("nan")), "malformed"),
+    "infinity": (own().replace(b"12.5", b"1e999"), "out of range"),
+    "a huge integer": (own(time=10**400), "out of range"),
+    "a missing field": (own(X_WH=...), "missing required field `X_WH`"),
+    "one field more": (own(more=1), "unknown field `more`"),
+    "a version that is no number": (own(version=True), r"Expected `int`, got `bool` - at `\$\.version`"),
+    "flat keypoints": (own(p_HK=HAND[:, :2].tolist()), r"`array` of length 3.* - at `\$\.p_HK\[0\]`"),
+    "keypoints of words": (own(p_HK=[["a", "b", "c"]] * 21), r"Expected `float`, got `str` - at `\$\.p_HK"),
+    "keypoints far away": (own(p_HK=(1e4 * HAND).tolist()), r"(<=|>=) -?100.0 - at `\$\.p_HK"),
+    "no side": (own(side="both"), r"Invalid enum value 'both' - at `\$\.side`"),
+    "24 nodes": (dumped({**NODES, "raw_nodes": NODES["raw_nodes"][:24]}), "length >= 25 - at `..raw_nodes`"),
+    "a node twice": (dumped({**NODES, "raw_nodes": [NODES["raw_nodes"][0]] * 25}), "numbers 0 to 24"),
+    "nodes of nothing": (dumped({**NODES, "raw_nodes": [None] * 25}), "Expected `object`, got `null`"),
     "175 words": (text(WORDS[:175]), "not 175"),
     "words of no number": (text([*WORDS[:9], "x", *WORDS[10:]]), "could not convert"),
     "NaN in text": (text([*WORDS[:8], "nan", *WORDS[9:]]), "must be finite"),
@@ -140,7 +141,6 @@ REFUSED = {
 # Another version, unit or hand, and angles in place of positions, which waiting does not mend.
 MISMATCHES = {
     "another version": (own(version=2), "version must be 1, not 2"),
-    "a version that is no number": (own(version=True), "version must be 1, not True"),
     "millimetres": (own(unit="mm"), "unit must be 'm', not 'mm'"),
     "another side": (own(side="left"), "a left hand is sent, but the robot's is a right one"),
     "another ManusGlove": (dumped(manus_glove(nodes_of(HAND, "left"), "Left")), "left hand is sent"),
@@ -160,12 +160,12 @@ def test_a_malformed_message_is_refused(name):
 
 def targets_of(device: LcmDevice, q: np.ndarray) -> JointTargets:
     """Targets of a device's joints, at 2.5 s; the joints are not in the order of its messages."""
-    return JointTargets(1, 2.5, device.joints[::-1], q[::-1], np.zeros_like(q), True, 0.1)
+    return JointTargets(1, 2.5, list(device.joints[::-1]), q[::-1].tolist(), [0.0] * len(q), True, 0.1)
 
 
 def state_of(device: LcmDevice, q: np.ndarray, v: np.ndarray) -> JointState:
     """The state of a device's joints, at 1 s; the joints are not in the order of its messages."""
-    return JointState(1, 1.0, device.joints[::-1], q[::-1], v[::-1])
+    return JointState(1, 1.0, list(device.joints[::-1]), q[::-1].tolist(), v[::-1].tolist())
 
 
 def test_commands_have_the_fields_that_drivers_expect():
@@ -176,12 +176,12 @@ def test_commands_have_the_fields_that_drivers_expect():
     command = lcmt_panda_command.decode(PANDA.encode_command(targets_of(PANDA, np.arange(7.0))))
     assert (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque) == (7, 0, 0)
     assert command.control_mode_expected == 1  # position
-    with pytest.raises(LiveError, match="control_mode_expected must be 1, not 3"):
+    with pytest.raises(LiveError, match="control_mode_expected must be 1, for positions, not 3"):
         command.control_mode_expected = 3
         PANDA.decode_command(command.encode())
 
 
-@pytest.mark.parametrize("device", [ALLEGRO, PANDA], ids=lambda device: device.name)
+@pytest.mark.parametrize("device", [ALLEGRO, PANDA], ids=lambda device: device.channel)
 def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refused(device):
     """In Drake's messages; cut off, of another size, not finite, or with a wrong length inside."""
     n = len(device.joints)
@@ -191,23 +191,22 @@ def test_messages_of_robots_arrive_to_the_last_bit_and_malformed_ones_are_refuse
     np.testing.assert_array_equal(device.decode_command(command).position, q)
     state = device.decode_status(status)
     np.testing.assert_array_equal([state.position, state.velocity], [q, v])
-    assert state.names == device.joints and state.time == 1.0
+    assert state.names == [*device.joints] and state.time == 1.0
     sizes = struct.pack(">i", n)
     for decode_it, good in ((device.decode_status, status), (device.decode_command, command)):
         for bad in (
             good[:-1],
-            good + b"\0",
             b"\0" * len(good),
             good.replace(sizes, struct.pack(">i", 2**31 - 1), 1),
             good.replace(sizes, struct.pack(">i", -1), 1),
         ):
-            with pytest.raises(LiveError, match=device.name):
+            with pytest.raises(LiveError, match=device.channel):
                 decode_it(bad)
     for bad in (np.inf, np.nan):
         with pytest.raises(LiveError, match=r"joint_position must be .* finite numbers"):
             device.decode_command(device.encode_command(targets_of(device, np.full(n, bad))))
     with pytest.raises(LiveError, match="Is this the hand that the robot has"):
-        larger = dataclasses.replace(device, joints=(*device.joints, "one more"))
+        larger = device._replace(joints=(*device.joints, "one more"))
         device.decode_status(larger.encode_status(state_of(larger, np.zeros(n + 1), np.zeros(n + 1))))
 
 
@@ -217,49 +216,50 @@ def test_the_fingers_of_a_real_allegro_get_their_own_joints():
         hand = load_hand(f"allegro_{side}")
         (finger,) = (finger for finger in hand.fingers if finger.name == "index")
         q = np.array([float(name in finger.joints) for name in hand.joint_names])
-        targets = JointTargets(1, 0.0, hand.joint_names, q, np.zeros(16), True, 0.1)
+        targets = JointTargets(1, 0.0, hand.joint_names, q.tolist(), [0.0] * 16, True, 0.1)
         command = ALLEGRO.encode_command(targets)
         assert list(np.flatnonzero(lcmt_allegro_command.decode(command).joint_position)) == [*index], side
 
 
-TARGETS = JointTargets(7, 12.5, ["a", "b"], np.array([0.1, 1 / 3]), np.array([-1.0, 2.0]), True, 0.1)
-STATE = JointState(8, 1.5, ["a", "b"], np.array([0.1, 1 / 3]), np.array([0.0, 2.0]), "")
+TARGETS = JointTargets(7, 12.5, ["a", "b"], [0.1, 1 / 3], [-1.0, 2.0], True, 0.1)
+STATE = JointState(8, 1.5, ["a", "b"], [0.1, 1 / 3], [0.0, 2.0])
 
 
 def test_joint_messages_arrive_to_the_last_bit():
     for sent, decode_it in ((TARGETS, decode_targets), (STATE, decode_state)):
-        got = decode_it(joint_messages.encode(sent))
-        for field in dataclasses.fields(sent):
-            np.testing.assert_array_equal(getattr(got, field.name), getattr(sent, field.name))
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        joint_messages.encode(dataclasses.replace(STATE, position=np.array([np.nan, 0.0])))
+        assert decode_it(joint_messages.encode(sent)) == sent
+    unmeasured = joint_messages.encode(msgspec.structs.replace(STATE, position=[np.nan, 0.0]))
+    with pytest.raises(
+        LiveError, match=r"joint state: Expected `float`, got `null` - at `\$\.position\[0\]`"
+    ):
+        decode_state(unmeasured)
 
 
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
-        ({"version": 2}, "version must be 1, not 2"),
-        ({"format": "geort_drake.glove"}, "format must be 'geort_drake.joint_targets'"),
+        ({"version": 2}, r"Invalid enum value 2 - at `\$\.version`"),
+        ({"format": "geort_drake.glove"}, r"Invalid value 'geort_drake.glove' - at `\$\.format`"),
         ({"position": [0.1]}, "position must be 2 numbers"),
-        ({"position": [0.1, "x"]}, "position must be finite, not 'x'"),
-        ({"velocity": [0.1, True]}, "velocity must be finite, not True"),
-        ({"names": ["a", "a"]}, "a name occurs twice"),
-        ({"names": "ab"}, "names must be a list"),
-        ({"engaged": 1}, "engaged must be true or false"),
-        ({"hold_after": None}, "hold_after must be finite"),
-        ({"hold_after": 0}, "hold_after must be above 0 and at most 1 s, not 0"),
-        ({"hold_after": 1e9}, "hold_after must be above 0 and at most 1 s"),
-        ({"hold_after": 10**400}, "hold_after must be finite"),
-        ({"position": [0.1, 10**400]}, "position must be finite, not 1000"),
-        ({"time": 10**400}, "time must be finite"),
-        ({"sequence": True}, "sequence must be an integer, not True"),
-        ({"version": True}, "version must be 1, not True"),
-        ({"more": 1}, "differs in more"),
+        ({"position": [0.1, "x"]}, r"Expected `float`, got `str` - at `\$\.position\[1\]`"),
+        ({"velocity": [0.1, True]}, r"Expected `float`, got `bool` - at `\$\.velocity\[1\]`"),
+        ({"names": ["a", "a"]}, "a name occurs twice in names: a, a"),
+        ({"names": "ab"}, r"Expected `array`, got `str` - at `\$\.names`"),
+        ({"engaged": 1}, r"Expected `bool`, got `int` - at `\$\.engaged`"),
+        ({"hold_after": None}, r"Expected `float`, got `null` - at `\$\.hold_after`"),
+        ({"hold_after": 0}, r"Expected `float` > 0.0 - at `\$\.hold_after`"),
+        ({"hold_after": 1e9}, r"Expected `float` <= 1.0 - at `\$\.hold_after`"),
+        ({"hold_after": 10**400}, "out of range"),
+        ({"position": [0.1, 10**400]}, "out of range"),
+        ({"time": 10**400}, "out of range"),
+        ({"sequence": True}, r"Expected `int`, got `bool` - at `\$\.sequence`"),
+        ({"version": True}, r"got `bool` - at `\$\.version`"),
+        ({"more": 1}, "unknown field `more`"),
     ],
 )
 def test_malformed_joint_targets_are_refused_with_their_field(change, expected):
     message = json.dumps(json.loads(joint_messages.encode(TARGETS)) | change).encode()
-    with pytest.raises(LiveError, match=expected):
+    with pytest.raises(LiveError, match=f"joint targets: .*{expected}"):
         decode_targets(message)
     for bad in (b"{", b"[]", b"\xff", b" " * MAX_BYTES + message, b'{"a":' * 10_000):
         with pytest.raises(LiveError, match="joint targets"):
@@ -276,32 +276,15 @@ def test_malformed_joint_targets_are_refused_with_their_field(change, expected):
 )  # fmt: skip
 def test_a_malformed_address_is_refused(address):
     """LCM itself accepts any URL, and then nothing arrives."""
-    with pytest.raises(LiveError, match=r"give one of|expected udpm"):
+    with pytest.raises(LiveError, match="give one of"):
         split_address(address, ("sub", "pull", "lcm"))
 
 
-def test_addresses_open_to_the_network_are_recognised(tmp_path):
-    """The defaults stay on this machine, unless their group is routed to a network.
-
-    The narrowest route counts, and of equal ones the one of the lowest metric.
-    """
+def test_addresses_open_to_the_network_are_recognised():
+    """The defaults stay on this machine."""
     assert all(map(is_local, ("lcm", "lcm+udpm://239.1.1.1:7667?ttl=0", "pub+tcp://127.0.0.1:5556")))
     open_to_all = ("lcm+udpm://239.1.1.1:7667?ttl=1", "pub+tcp://*:1", "sub+tcp://10.0.0.1:1")
     assert not any(map(is_local, open_to_all))
-    table = tmp_path / "route"
-    head = "Iface\tDestination\tGateway\tFlags\tRefCnt\tUse\tMetric\tMask\tMTU\tWindow\tIRTT\n"
-    default = "eth0\t00000000\t010200C0\t0003\t0\t0\t100\t00000000\t0\t0\t0\n"
-    ours = "{}\t434CFFEF\t00000000\t0005\t0\t0\t{}\tFFFFFFFF\t0\t0\t0\n"
-    for routes, outside in (
-        (default, True),
-        (default + ours.format("lo", 0), False),
-        (ours.format("lo", 5) + default + ours.format("eth0", 0), True),
-        (ours.format("lo", 0) + ours.format("eth0", 5), False),
-        ("", False),
-    ):
-        table.write_text(head + routes)
-        assert is_routed_to_network(LOCAL_LCM, table) == outside
-    assert is_routed_to_network(LOCAL_LCM, tmp_path / "none")
 
 
 @pytest.fixture
@@ -367,7 +350,7 @@ def test_a_command_that_starts_again_gets_no_state_from_before(tmp_path):
     endpoint = f"ipc://{tmp_path}/robot"
 
     def report(sequence: int) -> None:
-        driver.send(dataclasses.replace(STATE, sequence=sequence))
+        driver.send(msgspec.structs.replace(STATE, sequence=sequence))
 
     with contextlib.closing(joint_messages.open_driver_bus(endpoint)) as driver:
         for start in (1, 1000):
@@ -393,8 +376,8 @@ def test_joint_messages_reach_the_other_end_and_malformed_ones_are_counted(tmp_p
         address = f"lcm+{request.getfixturevalue('lcm_url')}"
     names = [*ALLEGRO.joints[::-1], *PANDA.joints]
     q, v = np.arange(23) / 7, -np.arange(23) / 3
-    targets = JointTargets(1, 2.0, names, q, np.zeros(23), True, 0.1)
-    state = JointState(1, 2.0, names, q, v)
+    targets = JointTargets(1, 2.0, names, q.tolist(), [0.0] * 23, True, 0.1)
+    state = JointState(1, 2.0, names, q.tolist(), v.tolist())
     with contextlib.closing(open_bus(address, hand)) as live:
         with contextlib.closing(open_bus(address, hand, driver=True)) as driver:
             for sender, receiver, message in ((live, driver, targets), (driver, live, state)):
@@ -403,7 +386,7 @@ def test_joint_messages_reach_the_other_end_and_malformed_ones_are_counted(tmp_p
                 def came(sender=sender, receiver=receiver, message=message, received=received):
                     sender.send(message)
                     for each in receiver.fetch():
-                        received.update(zip(each.names, each.position.tolist(), strict=True))
+                        received.update(zip(each.names, each.position, strict=True))
                     return len(received) == len(names) or None
 
                 wait_for(came, PATIENCE_S, lambda: "nothing came")
@@ -419,7 +402,7 @@ def test_joint_messages_reach_the_other_end_and_malformed_ones_are_counted(tmp_p
                 return driver.refused > 0 or None
 
             wait_for(refused, PATIENCE_S, lambda: "nothing was refused")
-            expected = "format must be" if carrier == "zmq" else "lcmt_allegro_command of 5 bytes"
+            expected = "field `sequence`" if carrier == "zmq" else "lcmt_allegro_command cannot be decoded"
             assert expected in driver.last_refusal
 
 
@@ -444,7 +427,7 @@ def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
 
     def moved() -> bool | None:
         for targets in commands.fetch():
-            for name, q in zip(targets.names, targets.position.tolist(), strict=True):
+            for name, q in zip(targets.names, targets.position, strict=True):
                 if abs(q - first.setdefault(name, q)) > 0.1:
                     return True
         return None
@@ -517,7 +500,7 @@ class Bus:
         return states
 
     def report(self, joints, q, fault: str = "") -> None:
-        self.states.append(JointState(1, 0.0, joints, np.array(q), np.zeros(len(joints)), fault))
+        self.states.append(JointState(1, 0.0, [*joints], [*q], [0.0] * len(joints), fault))
 
 
 def test_the_handshake_reports_where_the_robot_stands():
@@ -536,7 +519,7 @@ def test_the_handshake_reports_where_the_robot_stands():
         link.handshake(20.0)
     other = Bus()
     other.report(["finger_1"], [0.0])
-    other.refused, other.last_refusal = 3, "joint state: not JSON"
+    other.refused, other.last_refusal = 3, "joint state: JSON is malformed"
     with pytest.raises(LiveError, match=r"that the model lacks: finger_1; 3 messages were refused, the"):
         RobotLink(other, *groups(), period=0.01).handshake(0.01)
 
@@ -600,7 +583,7 @@ class Robot:
 
     def send(self, q) -> None:
         self.sequence += 1
-        self.bus.send(JointTargets(self.sequence, 0.0, ["a", "b"], np.array(q), np.zeros(2), True, 0.1))
+        self.bus.send(JointTargets(self.sequence, 0.0, ["a", "b"], [*q], [0.0, 0.0], True, 0.1))
 
 
 @pytest.mark.parametrize(
@@ -680,4 +663,4 @@ def test_a_driver_follows_at_its_speed_within_its_limits_and_holds_after_the_dea
     assert all(holding for _, holding in steps[11:])  # the deadline is 0.1 s
     np.testing.assert_array_equal(steps[11][0], steps[29][0])
     step_after(driver, lambda: robot.bus._sender.send(b"{}"))
-    assert driver.bus.refused and "format must be" in driver.bus.last_refusal
+    assert driver.bus.refused and "field `sequence`" in driver.bus.last_refusal

@@ -250,17 +250,16 @@ class StandInRobot(Command, ScenarioOptions):
 def _warn_of_open_addresses(glove: str | None, robot: str | None) -> None:
     """Warns of addresses through which other machines can move the robot."""
     from geort_drake.console import warn
-    from geort_drake.live.transports import is_local, is_routed_to_network, split_address
+    from geort_drake.live.transports import is_local, split_address
 
     for address in (glove, robot):
         if address and not is_local(address):
             warn(f"{address} is open to the network; anyone in it can move the robot")
     if robot and robot.startswith("lcm") and is_local(robot):
         url = split_address(robot, ["lcm"])[1]
-        if not is_routed_to_network(url):
-            return
         group = url.removeprefix("udpm://").partition(":")[0]
         warn(
-            f"{url} is also heard from the network: anyone in it can move the robot. To keep it to "
-            f"this machine: sudo ip link set lo multicast on && sudo ip route add {group} dev lo"
+            f"unless {group} is routed to loopback, {url} is also heard from the network, and anyone in it "
+            f"can move the robot. To route it: sudo ip link set lo multicast on && sudo ip route add {group} "
+            "dev lo"
         )

@@ -51,7 +51,6 @@ def add_counts(summary: dict[str, Any], loop: Teleoperation, link: RobotLink | N
             "refused": glove.refused,
             "last_refusal": glove.last_refusal or None,
             "late": glove.late,
-            "repaired": glove.repaired,
             "clock_offset_s": offset if math.isfinite(offset := glove.sender_clock.offset) else None,
             "largest_clock_drift": glove.largest_drift,
         }
@@ -67,8 +66,7 @@ def print_summary(summary: dict) -> None:
         say(f"from keypoints to joint targets: median {median}, 99th percentile {p99}")
     if counts := summary.get("glove"):
         say(
-            f"glove: {counts['received']} frames received, {counts['refused']} refused, "
-            f"{counts['late']} late, {counts['repaired']} with a repaired wrist rotation"
+            f"glove: {counts['received']} frames received, {counts['refused']} refused, {counts['late']} late"
         )
         if counts["clock_offset_s"] is not None:
             say(f"glove: the fastest frame arrived {counts['clock_offset_s']:.3f} s after its time stamp")

@@ -4,7 +4,7 @@
         while driver.running:
             hand.write(driver.step(hand.read()))
 
-It needs NumPy and pyzmq only. `examples/drivers/` has drivers for several hands.
+It needs NumPy, pyzmq and msgspec only. `examples/drivers/` has drivers for several hands.
 """
 
 import math
@@ -149,4 +149,6 @@ class JointDriver:
             velocity = (position - self._measured[1]) / (now - self._measured[0])
         self._measured = now, position
         self._sequence += 1
-        self.bus.send(JointState(self._sequence, now, self.names, position, velocity, fault))
+        self.bus.send(
+            JointState(self._sequence, now, self.names, position.tolist(), velocity.tolist(), fault)
+        )

@@ -64,7 +64,6 @@ class GloveStream(PythonSystem):
     Attributes:
         received: number of frames used.
         late: number of those that came late.
-        repaired: number of those whose wrist quaternion was scaled to norm 1.
         refused: number of messages that could not be used.
         last_refusal: why the last of them could not be used.
         sender_clock: estimate of the sender's clock.
@@ -86,7 +85,7 @@ class GloveStream(PythonSystem):
     ):
         super().__init__()
         self._receiver, self._side, self._glove_id, self._now = receiver, side, glove_id, clock
-        self.received = self.refused = self.late = self.repaired = self._arrivals = 0
+        self.received = self.refused = self.late = self._arrivals = 0
         self.sender_clock, self.largest_drift = SenderClock(), 0.0
         self.last_refusal = self._refusing = ""
         start = np.zeros(1, _FIELDS)
@@ -165,7 +164,6 @@ class GloveStream(PythonSystem):
             if frame is not None:
                 self.received += 1
                 self._refusing = ""
-                self.repaired += frame.repaired
                 return frame
         return None
 

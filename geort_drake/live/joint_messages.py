@@ -1,6 +1,7 @@
 """Joint targets for a robot's driver and joint states from it, as JSON over ZeroMQ.
 
-Both are UTF-8 JSON of at most 64 KiB. Joint targets have exactly these fields:
+Both are UTF-8 JSON of at most 64 KiB. Joint targets have these fields and no others, of which the first
+two may be left out:
 
     format      "geort_drake.joint_targets"
     version     1
@@ -17,139 +18,64 @@ A joint state has `format` "geort_drake.joint_state", `version`, `sequence`, `ti
 `names`, the measured `position` and `velocity`, and `fault`: "" or what is wrong with the robot. A driver may
 report joints that the targets do not have, and targets may have joints that a driver does not move.
 
-This module needs only NumPy, so that it also runs on a robot's computer.
+This module needs no Drake, so that it also runs on a robot's computer.
 """
 
-import dataclasses as dc
-import json
-import math
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, ClassVar, Generic, TypeVar
+from collections.abc import Callable, Iterable
+from typing import Annotated, Generic, Literal, TypeVar
 
-import numpy as np
+import msgspec
 
 from geort_drake.errors import LiveError
-from geort_drake.live.transports import MAX_BYTES, ZmqReceiver, ZmqSender, split_address
+from geort_drake.live.transports import ZmqReceiver, ZmqSender, decode_json, split_address
 
-VERSION = 1
 MAX_HOLD_AFTER = 1.0  # s; a robot that moves on for longer without its sender is out of control
 
 
-@dc.dataclass(frozen=True, eq=False)
-class JointTargets:
+class _Version(msgspec.Struct, frozen=True, kw_only=True):
+    version: Literal[1] = 1
+
+
+class _Joints(_Version, frozen=True, forbid_unknown_fields=True, tag_field="format"):
+    sequence: int
+    time: float
+    names: list[str]
+    position: list[float]
+    velocity: list[float]
+
+    def __post_init__(self) -> None:
+        for name, values in (("position", self.position), ("velocity", self.velocity)):
+            if len(values) != len(self.names):
+                raise ValueError(f"{name} must be {len(self.names)} numbers, one for each name")
+        if len({*self.names}) != len(self.names):
+            raise ValueError(f"a name occurs twice in names: {', '.join(self.names)[:80]}")
+
+
+class JointTargets(_Joints, frozen=True, tag="geort_drake.joint_targets"):
     """Joint targets of one moment; see the module for the fields."""
 
-    format: ClassVar[str] = "geort_drake.joint_targets"
-
-    sequence: int
-    time: float
-    names: Sequence[str]
-    position: np.ndarray
-    velocity: np.ndarray
     engaged: bool
-    hold_after: float
+    hold_after: Annotated[float, msgspec.Meta(gt=0.0, le=MAX_HOLD_AFTER)]
 
 
-@dc.dataclass(frozen=True, eq=False)
-class JointState:
+class JointState(_Joints, frozen=True, tag="geort_drake.joint_state"):
     """A robot's joints at one moment; see the module for the fields."""
 
-    format: ClassVar[str] = "geort_drake.joint_state"
-
-    sequence: int
-    time: float
-    names: Sequence[str]
-    position: np.ndarray
-    velocity: np.ndarray
     fault: str = ""
 
 
-def encode(message: JointTargets | JointState) -> bytes:
-    """Encodes a message.
-
-    Raises:
-        ValueError: a number is not finite.
-    """
-    fields = {"format": message.format, "version": VERSION} | dc.asdict(message)
-    for name in ("position", "velocity"):
-        fields[name] = np.asarray(fields[name], float).tolist()
-    return json.dumps(fields | {"names": list(message.names)}, allow_nan=False).encode()
+_TARGETS, _STATE = msgspec.json.Decoder(JointTargets), msgspec.json.Decoder(JointState)
+encode = msgspec.json.encode
 
 
 def decode_targets(message: bytes) -> JointTargets:
-    """Decodes joint targets.
-
-    Raises:
-        LiveError: the message is malformed; the text names the field.
-    """
-    fields = _fields(message, JointTargets)
-    if not isinstance(fields["engaged"], bool):
-        raise LiveError(f"joint targets: engaged must be true or false, not {fields['engaged']!r:.40}")
-    fields["hold_after"] = _number("joint targets", "hold_after", fields["hold_after"])
-    if not 0.0 < fields["hold_after"] <= MAX_HOLD_AFTER:
-        raise LiveError(
-            f"joint targets: hold_after must be above 0 and at most {MAX_HOLD_AFTER:g} s, not "
-            f"{fields['hold_after']:g}"
-        )
-    return JointTargets(**fields)
+    """Decodes joint targets; a LiveError names the field that is malformed."""
+    return decode_json(_TARGETS, message, "joint targets")
 
 
 def decode_state(message: bytes) -> JointState:
-    """Decodes a joint state.
-
-    Raises:
-        LiveError: the message is malformed; the text names the field.
-    """
-    fields = _fields(message, JointState)
-    if not isinstance(fields["fault"], str):
-        raise LiveError(f"joint state: fault must be a string, not {fields['fault']!r:.40}")
-    return JointState(**fields)
-
-
-def _fields(message: bytes, kind: type[JointTargets] | type[JointState]) -> dict[str, Any]:
-    """Returns the fields of a message, checked where both kinds agree."""
-    what = kind.format.removeprefix("geort_drake.").replace("_", " ")
-    if len(message) > MAX_BYTES:
-        raise LiveError(f"{what}: {len(message)} bytes; at most {MAX_BYTES} are read")
-    try:
-        fields = json.loads(message.decode())
-    except (ValueError, RecursionError) as error:
-        raise LiveError(f"{what}: not JSON: {error!s:.80}") from None
-    if not isinstance(fields, dict) or fields.get("format") != kind.format:
-        raise LiveError(f"{what}: format must be {kind.format!r}")
-    if fields.get("version") != VERSION or isinstance(fields["version"], bool):
-        raise LiveError(f"{what}: version must be {VERSION}, not {fields.get('version')!r:.40}")
-    wanted = {"format", "version", *(field.name for field in dc.fields(kind))}
-    if fields.keys() != wanted:
-        raise LiveError(
-            f"{what}: must have the fields {', '.join(sorted(wanted))}; differs in "
-            f"{', '.join(sorted(map(str, fields.keys() ^ wanted)))[:80]}"
-        )
-    del fields["format"], fields["version"]
-    names = fields["names"]
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise LiveError(f"{what}: names must be a list of strings, not {names!r:.60}")
-    if len({*names}) != len(names):
-        raise LiveError(f"{what}: a name occurs twice in names: {', '.join(names)[:80]}")
-    for name in ("position", "velocity"):
-        values = fields[name]
-        if not isinstance(values, list) or len(values) != len(names):
-            raise LiveError(f"{what}: {name} must be {len(names)} numbers, not {values!r:.60}")
-        fields[name] = np.array([_number(what, name, value) for value in values])
-    if not isinstance(fields["sequence"], int) or isinstance(fields["sequence"], bool):
-        raise LiveError(f"{what}: sequence must be an integer, not {fields['sequence']!r:.40}")
-    fields["time"] = _number(what, "time", fields["time"])
-    return fields
-
-
-def _number(what: str, name: str, value: Any) -> float:
-    try:
-        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    except OverflowError:  # an integer that no float can hold
-        number = math.inf
-    if not math.isfinite(number):
-        raise LiveError(f"{what}: {name} must be finite, not {value!r:.40}")
-    return number
+    """Decodes a joint state; a LiveError names the field that is malformed."""
+    return decode_json(_STATE, message, "joint state")
 
 
 Sent = TypeVar("Sent", JointTargets, JointState)
@@ -214,7 +140,7 @@ def open_zmq_bus(endpoint: str) -> ZmqBus[JointTargets, JointState]:
     """Publishes targets at an endpoint and receives states at `status_endpoint`; both sockets listen.
 
     Raises:
-        LiveError: an endpoint is in use, or pyzmq is not installed.
+        LiveError: an endpoint is in use.
     """
     sender = ZmqSender("pub", endpoint)
     try:
@@ -229,7 +155,7 @@ def open_driver_bus(endpoint: str) -> ZmqBus[JointState, JointTargets]:
     """Connects a driver to the endpoints of `open_zmq_bus`, at once or when they are opened.
 
     Raises:
-        LiveError: the endpoint is malformed, or pyzmq is not installed.
+        LiveError: the endpoint is malformed.
     """
     split_address(f"zmq+{endpoint}", ("zmq",))
     sender = ZmqSender("push", status_endpoint(endpoint), binds=False)

@@ -23,25 +23,29 @@ Ergonomics values are joint angles, which are refused.
 """
 
 import dataclasses as dc
-import json
-from typing import Any
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
+from msgspec import Meta
 from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import LiveError, MismatchError
-from geort_drake.live.transports import MAX_BYTES
+from geort_drake.live.transports import decode_json
 from geort_drake.people.checks import NORM_REPAIRABLE, NORM_TOLERANCE
 from geort_drake.people.formats import NODE_COUNT, keypoints_of_nodes
 from geort_drake.people.keypoints import KEYPOINT_COUNT, mirrored, to_wrist_frame, wrist_pose
-from geort_drake.people.recording import SIDES
 
-FORMAT, VERSION = "geort_drake.glove", 1
-_FIELDS = {"format", "version", "unit", "side", "time", "p_HK", "X_WH"}
+_VERSION, _UNIT = 1, "m"
 # Largest accepted coordinate, m.
 _MAX_DISTANCE_M = 100.0
 _TEXT_VALUES = 1 + 7 * NODE_COUNT  # number of values of one glove in the text form
 _ERGONOMICS_VALUES = (20, 40)  # number of joint angles of one or two hands, which bridges can send instead
+
+Coordinate = Annotated[float, Meta(ge=-_MAX_DISTANCE_M, le=_MAX_DISTANCE_M)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+Keypoints = Annotated[list[Point], Meta(min_length=KEYPOINT_COUNT, max_length=KEYPOINT_COUNT)]
+Side = Literal["left", "right"]
 
 
 @dc.dataclass(frozen=True, eq=False)
@@ -53,28 +57,64 @@ class GloveFrame:
         time: time of measurement, s, on the sender's clock; None if the message has none.
         p_HK: (21, 3) keypoints in the wrist frame H, m; None while the glove has lost the hand.
         X_WH: (7,) wrist pose, qw qx qy qz x y z, m; None without a tracker.
-        repaired: whether the quaternion of X_WH was scaled to norm 1.
     """
 
     side: str
     time: float | None = None
     p_HK: np.ndarray | None = None
     X_WH: np.ndarray | None = None
-    repaired: bool = False
+
+
+class _Own(msgspec.Struct, forbid_unknown_fields=True):
+    """A message in the package's own format."""
+
+    format: Literal["geort_drake.glove"]
+    version: int
+    unit: str
+    side: Side
+    time: float
+    p_HK: Keypoints | None
+    X_WH: Annotated[list[Coordinate], Meta(min_length=7, max_length=7)] | None
+
+
+class _Position(msgspec.Struct):
+    x: float
+    y: float
+    z: float
+
+
+class _Pose(msgspec.Struct):
+    position: _Position
+
+
+class _Node(msgspec.Struct):
+    node_id: int
+    pose: _Pose
+
+
+class _ManusGlove(msgspec.Struct):
+    """A ManusGlove message; its other fields are ignored."""
+
+    side: Literal["left", "right", "Left", "Right", "LEFT", "RIGHT"]
+    raw_nodes: Annotated[list[_Node], Meta(min_length=NODE_COUNT, max_length=NODE_COUNT)]
+    glove_id: int | str | None = None
+
+
+_OWN, _MANUS_GLOVE = msgspec.json.Decoder(_Own), msgspec.json.Decoder(_ManusGlove)
 
 
 def encode_frame(frame: GloveFrame) -> bytes:
     """Encodes a frame with a time as a message in the package's own format."""
     fields = {
-        "format": FORMAT,
-        "version": VERSION,
-        "unit": "m",
+        "format": "geort_drake.glove",
+        "version": _VERSION,
+        "unit": _UNIT,
         "side": frame.side,
-        "time": frame.time,
-        "p_HK": None if frame.p_HK is None else np.asarray(frame.p_HK, float).tolist(),
-        "X_WH": None if frame.X_WH is None else np.asarray(frame.X_WH, float).tolist(),
+        "time": None if frame.time is None else float(frame.time),
+        "p_HK": None if frame.p_HK is None else frame.p_HK.tolist(),
+        "X_WH": None if frame.X_WH is None else frame.X_WH.tolist(),
     }
-    return json.dumps(fields, allow_nan=False, separators=(",", ":")).encode()
+    return msgspec.json.encode(fields)
 
 
 def decode(message: bytes, side: str, glove_id: str | None = None) -> GloveFrame | None:
@@ -89,49 +129,37 @@ def decode(message: bytes, side: str, glove_id: str | None = None) -> GloveFrame
         MismatchError: another version, unit or side; joint angles; or two gloves without a `glove_id`.
         LiveError: the message is too long or malformed.
     """
-    if len(message) > MAX_BYTES:
-        raise LiveError(f"glove message: {len(message)} bytes; at most {MAX_BYTES} are read")
     if not message.lstrip().startswith(b"{"):
         return _decode_manus_text(message, side, glove_id)
-    fields = _parse_json(message)
-    if fields.get("format") == FORMAT:
-        frame = _decode_own(fields)
-    elif "raw_nodes" in fields:
-        if glove_id is not None and str(fields.get("glove_id")).lower() != glove_id.lower():
+    if b'"raw_nodes"' in message:
+        glove = decode_json(_MANUS_GLOVE, message, "ManusGlove message")
+        if glove_id is not None and str(glove.glove_id).lower() != glove_id.lower():
             return None
-        frame = _decode_manus_glove(fields)
+        frame = _frame_of_nodes(glove)
     else:
-        raise LiveError(f"glove message: neither of format {FORMAT} nor a ManusGlove with raw_nodes")
+        frame = _frame_of_own(decode_json(_OWN, message, "glove message"))
     if frame.side != side:
         raise MismatchError(f"glove message: a {frame.side} hand is sent, but the robot's is a {side} one")
     return frame
 
 
-def _decode_own(fields: dict[str, Any]) -> GloveFrame:
-    for name, expected in (("version", VERSION), ("unit", "m")):
-        value = fields.get(name)
-        if value != expected or isinstance(value, bool):
+def _frame_of_own(own: _Own) -> GloveFrame:
+    for name, value, expected in (("version", own.version, _VERSION), ("unit", own.unit, _UNIT)):
+        if value != expected:
             raise MismatchError(f"glove message: {name} must be {expected!r}, not {value!r:.40}")
-    if fields.keys() != _FIELDS:
-        wrong = ", ".join(sorted(fields.keys() ^ _FIELDS))[:80]
+    p_HK = None if own.p_HK is None else np.array(own.p_HK)
+    if own.X_WH is None:
+        return GloveFrame(own.side, own.time, p_HK)
+    X_WH = np.array(own.X_WH)
+    norm = float(np.linalg.norm(X_WH[:4]))
+    if abs(norm - 1.0) > NORM_REPAIRABLE:
         raise LiveError(
-            f"glove message: must have the fields {', '.join(sorted(_FIELDS))}; differs in {wrong}"
+            f"glove message: X_WH must begin with a unit quaternion, not {own.X_WH[:4]}, whose norm is "
+            f"{norm:.3g}"
         )
-    p_HK, X_WH, repaired = fields["p_HK"], fields["X_WH"], False
-    if X_WH is not None:
-        X_WH = _numbers("X_WH", X_WH, (7,), _MAX_DISTANCE_M)
-        norm = float(np.linalg.norm(X_WH[:4]))
-        if abs(norm - 1.0) > NORM_REPAIRABLE:
-            raise LiveError(
-                f"glove message: X_WH must begin with a unit quaternion, not {X_WH[:4].tolist()}, whose norm "
-                f"is {norm:.3g}"
-            )
-        if abs(norm - 1.0) > NORM_TOLERANCE:
-            X_WH[:4] /= norm
-            repaired = True
-    if p_HK is not None:
-        p_HK = _numbers("p_HK", p_HK, (KEYPOINT_COUNT, 3), _MAX_DISTANCE_M)
-    return GloveFrame(_side_of(fields), float(_numbers("time", fields["time"], ())), p_HK, X_WH, repaired)
+    if abs(norm - 1.0) > NORM_TOLERANCE:
+        X_WH[:4] /= norm
+    return GloveFrame(own.side, own.time, p_HK, X_WH)
 
 
 def _decode_manus_text(message: bytes, side: str, glove_id: str | None) -> GloveFrame | None:
@@ -158,19 +186,14 @@ def _decode_manus_text(message: bytes, side: str, glove_id: str | None) -> Glove
     return None
 
 
-def _decode_manus_glove(fields: dict[str, Any]) -> GloveFrame:
+def _frame_of_nodes(glove: _ManusGlove) -> GloveFrame:
+    positions = [node.pose.position for node in glove.raw_nodes]
+    p_WN = np.array([[p.x, p.y, p.z] for p in positions])
     try:
-        nodes = [(node["node_id"], node["pose"]["position"]) for node in fields["raw_nodes"]]
-        points = [[position[axis] for axis in "xyz"] for _, position in nodes]
-        p_WK = keypoints_of_nodes(
-            _numbers("raw_nodes", points, (NODE_COUNT, 3)), [number for number, _ in nodes]
-        )
-    except (KeyError, TypeError, ValueError):
-        raise LiveError(
-            f"ManusGlove message: raw_nodes must be {NODE_COUNT} nodes with node_id from 0 to "
-            f"{NODE_COUNT - 1} and pose.position with x, y, z"
-        ) from None
-    return frame_of_points(p_WK, _side_of(fields))
+        p_WK = keypoints_of_nodes(p_WN, [node.node_id for node in glove.raw_nodes])
+    except ValueError as error:
+        raise LiveError(f"ManusGlove message: raw_nodes: {error}") from None
+    return frame_of_points(p_WK, glove.side.lower())
 
 
 def frame_of_points(p_WK: np.ndarray, side: str, time: float | None = None) -> GloveFrame:
@@ -190,34 +213,3 @@ def frame_of_points(p_WK: np.ndarray, side: str, time: float | None = None) -> G
     R_WH, p_WH = wrist_pose(p_VK)
     quaternion = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)
     return GloveFrame(side, time, p_HK, np.concatenate([quaternion, p_WH]))
-
-
-def _parse_json(message: bytes) -> dict[str, Any]:
-    def refuse(constant: str) -> None:
-        raise ValueError(f"{constant} is no number")
-
-    try:
-        return json.loads(message.decode(), parse_constant=refuse)
-    except (ValueError, RecursionError) as error:
-        raise LiveError(f"glove message: not JSON: {error!s:.80}") from None
-
-
-def _side_of(fields: dict[str, Any]) -> str:
-    side = str(fields.get("side")).lower()
-    if side not in SIDES:
-        raise LiveError(f"glove message: side must be one of {', '.join(SIDES)}, not {side:.40}")
-    return side
-
-
-def _numbers(name: str, value: Any, shape: tuple[int, ...], largest: float = np.inf) -> np.ndarray:
-    """Checks that a field holds finite numbers of `shape`, at most `largest`, and returns them."""
-    try:
-        array = np.asarray(value)
-    except ValueError:  # rows of different lengths
-        array = np.empty(0)
-    if array.dtype.kind not in "fiu" or array.shape != shape:
-        expected = f"numbers of shape {shape}" if shape else "a number"
-        raise LiveError(f"glove message: {name} must be {expected}, not {value!r:.60}")
-    if not (np.isfinite(array).all() and np.abs(array).max() <= largest):
-        raise LiveError(f"glove message: {name} must be finite and at most {largest:g}, not {value!r:.60}")
-    return array.astype(float)

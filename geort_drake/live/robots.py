@@ -121,7 +121,7 @@ class JointServer(PythonSystem):
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         wanted: dict[str, float] = {}
         for targets in self.bus.fetch():
-            wanted |= dict(zip(targets.names, targets.position.tolist(), strict=True))
+            wanted |= dict(zip(targets.names, targets.position, strict=True))
         for group, index in zip(self._groups, self._commanded, strict=True):
             q = context.get_discrete_state(index).value()
             q = np.array([wanted.get(name, float(old)) for name, old in zip(group.joints, q, strict=True)])
@@ -132,7 +132,7 @@ class JointServer(PythonSystem):
         q, v = np.concatenate([port.Eval(context).reshape(2, -1) for port in self._measured], axis=1)
         names = [name for group in self._groups for name in group.joints]
         self._sequence += 1
-        self.bus.send(JointState(self._sequence, time.monotonic(), names, q, v))
+        self.bus.send(JointState(self._sequence, time.monotonic(), names, q.tolist(), v.tolist()))
         return EventStatus.Succeeded()
 
 
@@ -293,7 +293,7 @@ class RobotLink(PythonSystem):
     def _fetch(self) -> None:
         for state in self.bus.fetch():
             for name, q, v in zip(state.names, state.position, state.velocity, strict=True):
-                self._measured[name], self._arrived[name] = (float(q), float(v)), self._clock()
+                self._measured[name], self._arrived[name] = (q, v), self._clock()
             self._fault = state.fault
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
@@ -313,7 +313,7 @@ class RobotLink(PythonSystem):
             if group in self._groups:
                 names += group.joints
                 parts.append(port.Eval(context).reshape(2, -1))
-        position, velocity = np.concatenate(parts, axis=1)
+        position, velocity = np.concatenate(parts, axis=1).tolist()
         self._sequence += 1
         engaged = bool(self._engaged.Eval(context)[0] >= 0.5)
         self.bus.send(

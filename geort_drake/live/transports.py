@@ -11,14 +11,14 @@ ZeroMQ's ipc:// works in place of tcp://. Receivers connect and senders bind, so
 This module needs no Drake, so that it also runs on a robot's computer.
 """
 
-import importlib
 import ipaddress
 import re
-import socket
 import time
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
+
+import msgspec
+import zmq
 
 from geort_drake.errors import LiveError
 
@@ -28,9 +28,10 @@ MAX_BYTES = 65_536
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
 
 _RECEIVERS, _SENDERS = ("sub", "pull"), ("pub", "push")
-_FORMS = {"lcm": "lcm, lcm+udpm://GROUP:PORT?ttl=N", "zmq": "simulation, zmq+tcp://HOST:PORT"}
-_ROUTES = Path("/proc/net/route")
-_ROUTE_IS_UP = 1  # flag in that table
+_FORMS = {
+    "lcm": "lcm, lcm+udpm://GROUP:PORT?ttl=N, GROUP from 224.0.0.0 to 239.255.255.255",
+    "zmq": "simulation, zmq+tcp://HOST:PORT",
+}
 
 _MAX_AT_ONCE = 100  # most messages read in one call, so that a flood cannot block a loop
 
@@ -49,11 +50,7 @@ class Receiver(Protocol):
 
 
 def open_receiver(address: str) -> "ZmqReceiver":
-    """Connects to a glove's address.
-
-    Raises:
-        LiveError: the address is malformed, or pyzmq is not installed.
-    """
+    """Connects to a glove's address; a LiveError says if it is malformed."""
     return ZmqReceiver(*split_address(address, _RECEIVERS))
 
 
@@ -61,7 +58,7 @@ def open_sender(address: str) -> "ZmqSender":
     """Binds to an address to which receivers of a glove connect.
 
     Raises:
-        LiveError: the address is malformed or in use, or pyzmq is not installed.
+        LiveError: the address is malformed or in use.
     """
     return ZmqSender(*split_address(address, _SENDERS))
 
@@ -81,79 +78,74 @@ def split_address(address: str, patterns: Sequence[str]) -> tuple[str, str]:
         LiveError: the address is malformed, or has another pattern.
     """
     pattern, _, endpoint = address.partition("+")
-    if pattern == "lcm" and pattern in patterns:
-        check_lcm_url(endpoint or LOCAL_LCM)
-        return pattern, endpoint or LOCAL_LCM
-    port = re.fullmatch(r"tcp://[^\s:/]+:(\d{1,5})|ipc://\S+", endpoint)
-    # A robot's states arrive at the next port.
-    if pattern not in patterns or port is None or int(port[1] or 0) > 65535 - (pattern == "zmq"):
+    if pattern == "lcm":
+        endpoint = endpoint or LOCAL_LCM
+        good = _is_lcm_url(endpoint)
+    else:
+        port = re.fullmatch(r"tcp://[^\s:/]+:(\d{1,5})|ipc://\S+", endpoint)
+        # A robot's states arrive at the next port.
+        good = port is not None and int(port[1] or 0) <= 65535 - (pattern == "zmq")
+    if pattern not in patterns or not good:
         forms = [_FORMS.get(name, f"{name}+tcp://HOST:PORT") for name in patterns]
         raise LiveError(f"address '{address:.80}': give one of {', '.join(forms)}")
     return pattern, endpoint
 
 
-def check_lcm_url(url: str) -> None:
-    """Raises LiveError unless LCM can use the URL. LCM itself accepts any, but loses all messages."""
+def _is_lcm_url(url: str) -> bool:
+    """Returns whether LCM can use the URL. LCM itself accepts any, but loses all messages."""
     match = re.fullmatch(r"udpm://([\d.]+):(\d{1,5})\?ttl=\d{1,3}", url)
     try:
-        good = match is not None and ipaddress.IPv4Address(match[1]).is_multicast and int(match[2]) < 65536
+        return match is not None and ipaddress.IPv4Address(match[1]).is_multicast and int(match[2]) < 65536
     except ValueError:
-        good = False
-    if not good:
-        raise LiveError(
-            f"LCM URL '{url:.80}': expected udpm://GROUP:PORT?ttl=N, GROUP from 224.0.0.0 to 239.255.255.255"
-        )
+        return False
 
 
 def is_local(address: str) -> bool:
-    """Returns whether a valid address or LCM URL reaches only this machine."""
-    if "udpm://" in address or address == "lcm":
+    """Returns whether what is sent to a valid address reaches only this machine."""
+    if address.startswith("lcm"):
         return address == "lcm" or address.endswith("?ttl=0")
     return "ipc://" in address or re.search(r"//(127\.[\d.]+|localhost):", address) is not None
 
 
-def is_routed_to_network(url: str, routes: Path = _ROUTES) -> bool:
-    """Returns whether an LCM URL's group is routed to a network, so that messages of other machines arrive.
+Message = TypeVar("Message")
 
-    `ttl=0` limits only what this machine sends. The result is True if the routes are unknown.
+
+def decode_json(
+    decoder: msgspec.json.Decoder[Message], message: bytes, name: str, most: int = MAX_BYTES
+) -> Message:
+    """Decodes a message of JSON.
 
     Args:
-        url: LCM URL.
-        routes: file with Linux's table of IPv4 routes.
+        name: what errors call the message.
+        most: largest size, bytes.
+
+    Raises:
+        LiveError: the message is too long or malformed; the error names the field.
     """
-    match = re.match(r"udpm://([\d.]+):", url)
-    if match is None or not routes.exists():
-        return True
-    group = int(ipaddress.IPv4Address(match[1]))
-    candidates = []
-    for line in routes.read_text().splitlines()[1:]:
-        interface, destination, _, flags, _, _, metric, mask, *_ = line.split()
-        # Addresses are in the machine's byte order.
-        network, bits = (socket.ntohl(int(word, 16)) for word in (destination, mask))
-        if int(flags, 16) & _ROUTE_IS_UP and group & bits == network:
-            candidates.append((-bits, int(metric), interface))
-    return bool(candidates) and min(candidates)[2] != "lo"
+    if len(message) > most:
+        raise LiveError(f"{name}: {len(message)} bytes; at most {most} are read")
+    try:
+        return decoder.decode(message)
+    # Invalid UTF-8 raises a ValueError, and deep nesting a RecursionError.
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise LiveError(f"{name}: {error!s:.120}") from None
 
 
 class _ZmqSocket:
     """A ZeroMQ socket with short queues and a size limit that closes without waiting."""
 
     def __init__(self, pattern: str):
-        try:
-            self._zmq: Any = importlib.import_module("zmq")
-        except ImportError:
-            raise LiveError("ZeroMQ needs pyzmq: pip install 'geort-drake[live]'") from None
         # One context for the process: a context of its own waits for ever if it is freed before its socket.
-        self._socket = self._zmq.Context.instance().socket(getattr(self._zmq, pattern.upper()))
-        self._socket.setsockopt(self._zmq.LINGER, 0)
-        self._socket.setsockopt(self._zmq.RCVHWM, _MAX_AT_ONCE)
-        self._socket.setsockopt(self._zmq.SNDHWM, 2)
-        self._socket.setsockopt(self._zmq.MAXMSGSIZE, MAX_BYTES)  # disconnects a peer that sends more
+        self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(getattr(zmq, pattern.upper()))
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.RCVHWM, _MAX_AT_ONCE)
+        self._socket.setsockopt(zmq.SNDHWM, 2)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)  # disconnects a peer that sends more
 
     def _open(self, endpoint: str, binds: bool) -> None:
         try:
             (self._socket.bind if binds else self._socket.connect)(endpoint)
-        except self._zmq.ZMQError as error:
+        except zmq.ZMQError as error:
             self.close()
             what = "listen" if binds else "connect"
             raise LiveError(f"{endpoint}: cannot {what} there: {error}") from None
@@ -178,8 +170,8 @@ class ZmqReceiver(_ZmqSocket):
         try:
             while len(messages) < _MAX_AT_ONCE:
                 # The last part of a multipart message is the payload; earlier parts are topics.
-                messages.append(self._socket.recv_multipart(self._zmq.NOBLOCK)[-1])
-        except self._zmq.Again:
+                messages.append(self._socket.recv_multipart(zmq.NOBLOCK)[-1])
+        except zmq.Again:
             pass
         return messages
 
@@ -190,18 +182,18 @@ class ZmqSender(_ZmqSocket):
     def __init__(self, pattern: str, endpoint: str, binds: bool = True):
         super().__init__(pattern)
         # Without it, a queue keeps the oldest messages for a receiver that starts much later.
-        self._socket.setsockopt(self._zmq.IMMEDIATE, 1)
+        self._socket.setsockopt(zmq.IMMEDIATE, 1)
         self._open(endpoint, binds)
 
     @property
     def endpoint(self) -> str:
         """The endpoint; for port 0, with the port that the system chose."""
-        return self._socket.last_endpoint.decode()
+        return self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
 
     def send(self, message: bytes) -> None:
         try:
-            self._socket.send(message, self._zmq.NOBLOCK)
-        except self._zmq.Again:
+            self._socket.send(message, zmq.NOBLOCK)
+        except zmq.Again:
             pass  # a late glove frame is useless
 
 

@@ -5,20 +5,17 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
-from geort_drake.errors import LiveError
+from geort_drake.live.messages import Keypoints, Point, Side
+from geort_drake.live.transports import decode_json
 from geort_drake.people.formats import NODE_COUNT
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 
 VERSION = 1
 MAX_BYTES = 16_384
 
-# Largest accepted coordinate, m.
-Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
-Point = tuple[Coordinate, Coordinate, Coordinate]
 # A landmark outside the picture is extrapolated, and thus near it.
 PicturePoint = tuple[Annotated[float, Meta(ge=-10.0, le=10.0)], Annotated[float, Meta(ge=-10.0, le=10.0)]]
 Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
-Keypoints = Annotated[list[Point], Meta(min_length=KEYPOINT_COUNT, max_length=KEYPOINT_COUNT)]
 Picture = Annotated[list[PicturePoint], Meta(min_length=KEYPOINT_COUNT, max_length=KEYPOINT_COUNT)]
 Joints = Annotated[list[Point], Meta(min_length=NODE_COUNT, max_length=NODE_COUNT)]
 
@@ -33,7 +30,7 @@ class Hello(Message):
     version: Literal[1]
     role: Literal["operator", "spectator"]
     device: Literal["camera", "headset", "scripted", "pointer", "recording", "simulated"]
-    side: Literal["left", "right"]
+    side: Side
     hand_length: Annotated[float, Meta(ge=0.1, le=0.3)] | None = None
 
 
@@ -121,10 +118,4 @@ def decode(text: str | bytes) -> Hello | Hand | Request:
         LiveError: the message is too long or malformed; the error names the field.
     """
     message = text.encode(errors="replace") if isinstance(text, str) else text
-    if len(message) > MAX_BYTES:
-        raise LiveError(f"message: {len(message)} bytes; at most {MAX_BYTES} are read")
-    try:
-        return _DECODER.decode(message)
-    # Invalid UTF-8 raises a ValueError, and deep nesting a RecursionError.
-    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise LiveError(f"message: {error!s:.120}") from None
+    return decode_json(_DECODER, message, "message", MAX_BYTES)
