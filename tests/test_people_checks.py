@@ -13,7 +13,7 @@ from glove_files import FRAMES, moving
 
 from geort_drake import read_recording, synthesize_play
 from geort_drake.errors import GeortError, MismatchError, RecordingError
-from geort_drake.people.checks import EXPECTED, ORDERS, fitting_order, require_wrist_frame_hand
+from geort_drake.people.checks import KEYPOINT_ORDER, ORDERS, fitting_order, require_wrist_frame_hand
 from geort_drake.people.coverage import training_faults
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, mirrored, to_wrist_frame
 from geort_drake.people.synthetic.hand import HumanHand
@@ -151,8 +151,10 @@ def test_valid_recordings_have_the_expected_joint_order(length_m, breadth_m, sid
     fist = np.where([name.endswith("flexion") for name in hand.joint_names], hand.upper, 0.0)
     for p in (p_HK, p_HK[:5], hand.keypoints(np.zeros((5, 20))), hand.keypoints(fist[None].repeat(5, 0))):
         seen = mirrored(p) if side == "left" else p
-        assert fitting_order(seen)[0] == EXPECTED
-        assert fitting_order(seen + np.random.default_rng(0).normal(0.0, 0.003, seen.shape))[0] == EXPECTED
+        assert fitting_order(seen)[0] == KEYPOINT_ORDER
+        assert (
+            fitting_order(seen + np.random.default_rng(0).normal(0.0, 0.003, seen.shape))[0] == KEYPOINT_ORDER
+        )
 
 
 @pytest.mark.parametrize("p_HK", [np.zeros((0, 21, 3)), np.full((9, 21, 3), np.nan)], ids=["empty", "lost"])

@@ -278,12 +278,12 @@ def add_hand_model(
     hand = parse_model(plant, path)
     if name is not None:
         plant.RenameModelInstance(hand, name)
-    added = HandInPlant(plant, description, hand)
+    hand_in_plant = HandInPlant(plant, description, hand)
     with naming(f"hand '{description.name}' with model {path}", HandError):
-        _assemble(added, set(plant.GetConstraintIds()) - constraints)
+        _assemble(hand_in_plant, set(plant.GetConstraintIds()) - constraints)
     # The hand must not collide with a floor in its own model file.
     if floor := set(_world_geometries(plant)) - surroundings:
-        shapes = [id for link in added.links for id in plant.GetCollisionGeometriesForBody(link)]
+        shapes = [id for link in hand_in_plant.links for id in plant.GetCollisionGeometriesForBody(link)]
         filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(floor)), GeometrySet(shapes))
         Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
     return hand

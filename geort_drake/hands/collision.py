@@ -90,13 +90,13 @@ class HandClearance:
         self._root = self._enlarged_hand()
         self._context = self._plant.GetMyContextFromRoot(self._root)
 
-    def near(self, q: np.ndarray, most: int | None = None) -> Near:
-        """Returns the pairs, or the nearest `most`, with gaps below the clearance at joint angles q (n,)."""
+    def near(self, q: np.ndarray, count: int | None = None) -> Near:
+        """Returns the pairs, or the nearest `count`, with gaps below the clearance at joint angles q (n,)."""
         penetrations = self._hand.query(q[self._to_hand], self._root).ComputePointPairPenetration()
         if not penetrations:
             return Near([], np.empty(0), np.empty((0, len(q))))
-        if most is not None and len(penetrations) > most:
-            penetrations = sorted(penetrations, key=attrgetter("depth"), reverse=True)[:most]
+        if count is not None and len(penetrations) > count:
+            penetrations = sorted(penetrations, key=attrgetter("depth"), reverse=True)[:count]
         pairs = [(pair.id_A, pair.id_B) for pair in penetrations]
         gap = np.array([self._clearance - pair.depth for pair in penetrations])
         n, x = np.concatenate(
@@ -166,10 +166,10 @@ class HandClearance:
                 by_joints.setdefault(tuple(np.flatnonzero(between)), []).append(pair)
             else:
                 pairs.append(pair)
-        for joints, close in by_joints.items():
+        for joints, neighbours in by_joints.items():
             if joints:
                 touching = self._pairs_touching_on_grid(root, joints)
-                pairs += [pair for pair in close if frozenset(pair) in touching]
+                pairs += [pair for pair in neighbours if frozenset(pair) in touching]
         return pairs
 
     def _candidates(self, root: Context) -> list[tuple[GeometryId, GeometryId]]:
@@ -198,9 +198,12 @@ class HandClearance:
             larger = _enlarged(shape, name, 0.5 * self._clearance)
             scene_graph.ChangeShape(context, self._plant.get_source_id(), geometry, larger)
         # Last, because a changed shape loses its collision filters.
-        filters, watched = scene_graph.collision_filter_manager(context), {frozenset(p) for p in self.pairs}
+        filters, checked_pairs = (
+            scene_graph.collision_filter_manager(context),
+            {frozenset(p) for p in self.pairs},
+        )
         for pair in self._candidates(root):
-            if frozenset(pair) not in watched:
+            if frozenset(pair) not in checked_pairs:
                 first, second = map(GeometrySet, pair)
                 filters.Apply(CollisionFilterDeclaration().ExcludeBetween(first, second))
         return root

@@ -159,8 +159,8 @@ class HandDescription:
         Raises:
             HandError: a field is missing or wrong; names hand, field, expected and given values.
         """
-        for good, field, expected, value in self._requirements():
-            if not good:
+        for fits, field, expected, value in self._requirements():
+            if not fits:
                 raise HandError(f"hand '{self.name}': {field} must be {expected}; given: {value}")
         resolved_couplings(self.couplings)
 
@@ -202,11 +202,11 @@ class HandDescription:
         surplus = len(self.couplings) - len({coupling.joint for coupling in self.couplings})
         yield not surplus, "couplings", "one for each joint that follows", f"{surplus} too many"
         for number, c in enumerate(self.couplings):
-            where, of = f"couplings[{number}]", f" of '{c.joint}'"
-            yield c.joint and c.follows, f"{where}{of}", "of two joints", "a name is missing"
-            yield c.joint not in joints, f"{where}.joint{of}", "listed with no finger", f"'{c.joint}'"
-            yield np.isfinite(c.ratio) and c.ratio != 0, f"{where}.ratio{of}", "finite and not 0", c.ratio
-            yield np.isfinite(c.offset), f"{where}.offset{of}", "finite", c.offset
+            where, owner = f"couplings[{number}]", f" of '{c.joint}'"
+            yield c.joint and c.follows, f"{where}{owner}", "of two joints", "a name is missing"
+            yield c.joint not in joints, f"{where}.joint{owner}", "listed with no finger", f"'{c.joint}'"
+            yield np.isfinite(c.ratio) and c.ratio != 0, f"{where}.ratio{owner}", "finite and not 0", c.ratio
+            yield np.isfinite(c.offset), f"{where}.offset{owner}", "finite", c.offset
 
 
 def _is_vector(value: list[float]) -> bool:
@@ -221,14 +221,14 @@ def resolved_couplings(couplings: list[CouplingDescription]) -> list[CouplingDes
     """
     by_name = {coupling.joint: coupling for coupling in couplings}
 
-    def resolve(coupling: CouplingDescription, below: set[str]) -> CouplingDescription:
-        if coupling.joint in below:
+    def resolve(coupling: CouplingDescription, chain: set[str]) -> CouplingDescription:
+        if coupling.joint in chain:
             raise HandError(f"couplings must be free of cycles; given: '{coupling.joint}' follows itself")
         if coupling.follows not in by_name:
             return coupling
-        above = resolve(by_name[coupling.follows], below | {coupling.joint})
-        offset = coupling.ratio * above.offset + coupling.offset
-        return CouplingDescription(coupling.joint, above.follows, coupling.ratio * above.ratio, offset)
+        leader = resolve(by_name[coupling.follows], chain | {coupling.joint})
+        offset = coupling.ratio * leader.offset + coupling.offset
+        return CouplingDescription(coupling.joint, leader.follows, coupling.ratio * leader.ratio, offset)
 
     return [resolve(coupling, set()) for coupling in couplings]
 

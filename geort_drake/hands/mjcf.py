@@ -173,21 +173,21 @@ class _Builder:
         self._links[body] = link = self._add_body(name, body)
         if parent not in self._links:
             return  # on the world
-        above = self._links[parent].body_frame()
+        parent_frame = self._links[parent].body_frame()
         X = RigidTransform(Quaternion(m.body_quat[body]), m.body_pos[body])
         joints = self._joints_of(body)
         if not joints:
             if parent:
-                self._plant.AddJoint(WeldJoint(f"{name}_weld", above, link.body_frame(), X))
+                self._plant.AddJoint(WeldJoint(f"{name}_weld", parent_frame, link.body_frame(), X))
             return
         for joint in joints:
-            below = link
+            child = link
             if joint != joints[-1]:
-                below = self._add_body(f"{name}_{self._name('joint', joint)}", None)
-            self._add_joint(joint, above, X, below)
-            above, X = below.body_frame(), RigidTransform()
+                child = self._add_body(f"{name}_{self._name('joint', joint)}", None)
+            self._add_joint(joint, parent_frame, X, child)
+            parent_frame, X = child.body_frame(), RigidTransform()
 
-    def _add_joint(self, joint: int, above: Frame, X: RigidTransform, link: RigidBody) -> None:
+    def _add_joint(self, joint: int, parent_frame: Frame, X: RigidTransform, link: RigidBody) -> None:
         """Adds a joint; X is the link's pose in the frame above at the joint's reference position."""
         m, plant, name = self._m, self._plant, self._name("joint", joint)
         axis, kind, start = m.jnt_axis[joint], m.jnt_type[joint], m.qpos0[m.jnt_qposadr[joint]]
@@ -197,7 +197,9 @@ class _Builder:
             zero = RigidTransform(AngleAxis(-start, axis), np.zeros(3))
         elif kind == _SLIDE:
             zero = RigidTransform(-start * axis)
-        F = plant.AddFrame(FixedOffsetFrame(f"{name}_on_parent", above, X @ X_LM @ zero, self._instance))
+        F = plant.AddFrame(
+            FixedOffsetFrame(f"{name}_on_parent", parent_frame, X @ X_LM @ zero, self._instance)
+        )
         M = plant.AddFrame(FixedOffsetFrame(f"{name}_on_child", link.body_frame(), X_LM, self._instance))
         if kind == _BALL:
             plant.AddJoint(BallRpyJoint(name, F, M))
@@ -205,8 +207,8 @@ class _Builder:
         low, high = m.jnt_range[joint] if m.jnt_limited[joint] else (-np.inf, np.inf)
         damping = m.dof_damping[m.jnt_dofadr[joint]]
         Axial = RevoluteJoint if kind == _HINGE else PrismaticJoint
-        added = plant.AddJoint(Axial(name, F, M, axis, low, high, damping))
-        added.set_default_positions([start])
+        axial_joint = plant.AddJoint(Axial(name, F, M, axis, low, high, damping))
+        axial_joint.set_default_positions([start])
 
     def _add_geom(self, geom: int) -> None:
         m, link = self._m, self._links[int(self._m.geom_bodyid[geom])]
@@ -270,8 +272,10 @@ class _Builder:
         contype, conaffinity, body = m.geom_contype[geoms], m.geom_conaffinity[geoms], m.geom_bodyid[geoms]
         masked = (contype[:, None] & conaffinity) | (contype & conaffinity[:, None]) == 0
         group = m.body_weldid[body]  # the first of the bodies that are welded together
-        above = m.body_weldid[m.body_parentid[group]]
-        neighbours = (group[:, None] == group) | (above[:, None] == group) | (above == group[:, None])
+        parent_group = m.body_weldid[m.body_parentid[group]]
+        neighbours = (
+            (group[:, None] == group) | (parent_group[:, None] == group) | (parent_group == group[:, None])
+        )
         excluded = np.isin((body[:, None] << 16) + body, m.exclude_signature)
         for first, second in np.argwhere(masked | neighbours | excluded | excluded.T):
             if first < second:
@@ -281,17 +285,17 @@ class _Builder:
 
     def _add_actuators(self) -> None:
         """Adds the joints' motors; position servos, of force gain · (input − position), get gains."""
-        m, driven = self._m, set()
+        m, actuated = self._m, set()
         for motor in range(m.nu):
             joint = int(m.actuator_trnid[motor][0])
-            if m.actuator_trntype[motor] not in (_TRN_JOINT, _TRN_JOINT_IN_PARENT) or joint in driven:
+            if m.actuator_trntype[motor] not in (_TRN_JOINT, _TRN_JOINT_IN_PARENT) or joint in actuated:
                 continue
             name = self._name("joint", joint)
             if m.jnt_type[joint] not in (_HINGE, _SLIDE) or not self._plant.HasJointNamed(
                 name, self._instance
             ):
                 continue
-            driven.add(joint)
+            actuated.add(joint)
             gear, gain, bias = m.actuator_gear[motor][0], m.actuator_gainprm[motor], m.actuator_biasprm[motor]
             servo = gain[0] > 0 and bias[1] == -gain[0]
             limit = np.inf
@@ -303,13 +307,13 @@ class _Builder:
                 limit = min(limit, m.jnt_actfrcrange[joint].max())
             if not limit > 0:
                 continue
-            added = self._plant.AddJointActuator(
+            actuator = self._plant.AddJointActuator(
                 self._name("actuator", motor), self._plant.GetJointByName(name, self._instance), limit
             )
             # MuJoCo's armature belongs to the joint.
-            added.set_default_rotor_inertia(m.dof_armature[m.jnt_dofadr[joint]])
+            actuator.set_default_rotor_inertia(m.dof_armature[m.jnt_dofadr[joint]])
             if servo:
-                added.set_controller_gains(PdControllerGains(p=gear**2 * gain[0], d=-(gear**2) * bias[2]))
+                actuator.set_controller_gains(PdControllerGains(p=gear**2 * gain[0], d=-(gear**2) * bias[2]))
 
     def _name(self, kind: str, number: int) -> str:
         return name_of(self._m, kind, number)
@@ -341,15 +345,15 @@ def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str
         kind, first, second = m.eq_type[number], int(m.eq_obj1id[number]), int(m.eq_obj2id[number])
         constant, ratio, *higher = m.eq_data[number][:5]
         if kind == _EQ_JOINT and second >= 0:
-            follower, followed = name_of(m, "joint", first), name_of(m, "joint", second)
+            follower, leader_name = name_of(m, "joint", first), name_of(m, "joint", second)
             if any(higher):
                 raise HandError(
-                    f"{path}: joint '{follower}' follows '{followed}' by a polynomial; expected two "
+                    f"{path}: joint '{follower}' follows '{leader_name}' by a polynomial; expected two "
                     f"coefficients, given: {m.eq_data[number][:5]}"
                 )
             start, leader_start = m.qpos0[m.jnt_qposadr[[first, second]]]
             offset = start + constant - ratio * leader_start
-            couplings[follower] = CouplingDescription(follower, followed, float(ratio), float(offset))
+            couplings[follower] = CouplingDescription(follower, leader_name, float(ratio), float(offset))
             equal.append({first, second})
         elif kind == _EQ_TENDON and second < 0:
             lengths[first] = float(m.tendon_length0[first] + constant)
@@ -357,22 +361,22 @@ def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str
             which = "site" if m.eq_objtype[number] == 6 else "body"
             ends = [f"'{name_of(m, which, end)}'" for end in (first, second)]
             notes.append(f"the closed loop at {' and '.join(ends)} is ignored: a hand must be a tree")
-    driven = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_JOINT, _TRN_JOINT_IN_PARENT)}
-    pulled = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_TENDON)}
+    motor_joints = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_JOINT, _TRN_JOINT_IN_PARENT)}
+    motor_tendons = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_TENDON)}
     ignored = []
     for tendon in range(m.ntendon):
         coefficients = _fixed_tendon(m, tendon)
         coupling = None
         if len(coefficients) == 2 and {*coefficients} not in equal:
             leader, joint = sorted(coefficients)
-            if leader not in driven and joint in driven:
+            if leader not in motor_joints and joint in motor_joints:
                 leader, joint = joint, leader
             coefficient, leading = coefficients[joint], coefficients[leader]
             length = lengths.get(tendon, _narrow_length(m, tendon, min(abs(coefficient), abs(leading))))
             names = name_of(m, "joint", joint), name_of(m, "joint", leader)
             if length is not None:
                 coupling = CouplingDescription(*names, -leading / coefficient, length / coefficient)
-            elif tendon in pulled and not {joint, leader} & driven:
+            elif tendon in motor_tendons and not {joint, leader} & motor_joints:
                 coupling = CouplingDescription(*names, coefficient / leading, 0.0)
                 notes.append(
                     f"one motor pulls '{names[1]}' and '{names[0]}'; assuming equal stiffness, '{names[0]}' "
@@ -380,7 +384,7 @@ def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str
                 )
         if coupling is not None:
             couplings.setdefault(coupling.joint, coupling)
-        elif tendon in pulled and {*coefficients} not in equal:
+        elif tendon in motor_tendons and {*coefficients} not in equal:
             ignored.append(f"'{name_of(m, 'tendon', tendon)}'")
     if ignored:
         notes.append(

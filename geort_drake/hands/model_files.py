@@ -186,22 +186,22 @@ def check_values(tree: ET.Element) -> None:
 
 def _check_tree(model: ET.Element) -> None:
     """Checks that no link is moved by itself, and in URDF none by two joints."""
-    above: dict[str, tuple[str, str]] = {}  # child → its joint and parent
+    parents: dict[str, tuple[str, str]] = {}  # child → its joint and parent
     for joint in model.findall("joint"):
         ends = [joint.find(end) for end in ("parent", "child")]
         # Attributes in URDF, texts in SDF.
         parent, child = ("" if e is None else e.get("link") or (e.text or "").strip() for e in ends)
         name = joint.get("name", "")
-        if model.tag == "robot" and child in above:
-            raise HandError(f"the joints '{above[child][0]}' and '{name}' both move the link '{child}'")
-        above[child] = name, parent
-    for link in above:
+        if model.tag == "robot" and child in parents:
+            raise HandError(f"the joints '{parents[child][0]}' and '{name}' both move the link '{child}'")
+        parents[child] = name, parent
+    for link in parents:
         joints: list[str] = []
-        at = link
-        while at in above and len(joints) <= len(above):
-            joints.append(above[at][0])
-            at = above[at][1]
-            if at == link:
+        ancestor = link
+        while ancestor in parents and len(joints) <= len(parents):
+            joints.append(parents[ancestor][0])
+            ancestor = parents[ancestor][1]
+            if ancestor == link:
                 loop = listed([f"'{joint}'" for joint in reversed(joints)])
                 raise HandError(f"the joints {loop} form a loop, so that the link '{link}' moves itself")
 

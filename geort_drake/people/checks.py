@@ -24,10 +24,10 @@ from geort_drake.people.recording import SIDES, Recording
 
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254, "dm": 0.1}
 # Orders of published data sets: the keypoint at each of the 21 positions in a file.
-EXPECTED = "wrist, then thumb to little finger, base to tip (MediaPipe)"
+KEYPOINT_ORDER = "wrist, then thumb to little finger, base to tip (MediaPipe)"
 _TIPS_FIRST = tuple(k for chain in FINGER_KEYPOINTS.values() for k in chain[::-1])
 ORDERS: dict[str, tuple[int, ...]] = {
-    EXPECTED: tuple(range(21)),
+    KEYPOINT_ORDER: tuple(range(21)),
     "MANO's joints, then the tips (HO-3D)": (
         0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3, 4, 8, 12, 16, 20,
     ),
@@ -116,10 +116,10 @@ def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> No
         if 2 * (good := int(good_frames(p).sum())) < len(p):
             raise RecordingError(f"only {good} of {len(p)} frames are in H and of a person's size in metres")
     # Either cue alone fails: straight fingers bend backwards, and a flat hand's thumb lies behind the palm.
-    before, bend = float(np.median(p[:, _THUMB_MCP, 0])), _mean_bending(p)
-    if before / _BEFORE_PALM_M + bend / _BEND_SINE < _LEAST_SIDE:
+    thumb_x, bend = float(np.median(p[:, _THUMB_MCP, 0])), _mean_bending(p)
+    if thumb_x / _BEFORE_PALM_M + bend / _BEND_SINE < _LEAST_SIDE:
         raise MismatchError(
-            f"{name}: the thumb is {-1e3 * before:.0f} mm behind the palm and the fingers bend by a "
+            f"{name}: the thumb is {-1e3 * thumb_x:.0f} mm behind the palm and the fingers bend by a "
             f"mean sine of {bend:.2f}: this is a hand of the other side, or one in mirrored axes"
         )
 
@@ -282,7 +282,7 @@ def fitting_order(p: np.ndarray) -> tuple[str | None, str]:
     if not fits:
         return None, next(_contradictions(middle))
     best = min(fits, key=lambda name: fits[name])
-    return EXPECTED if fits.get(EXPECTED, np.inf) <= 2 * fits[best] + _JITTER else best, ""
+    return KEYPOINT_ORDER if fits.get(KEYPOINT_ORDER, np.inf) <= 2 * fits[best] + _JITTER else best, ""
 
 
 def _contradictions(distance: np.ndarray) -> Iterator[str]:
@@ -315,9 +315,11 @@ def _contradictions(distance: np.ndarray) -> Iterator[str]:
 
 def _require_order(p: np.ndarray) -> None:
     order, contradiction = fitting_order(p)
-    if order != EXPECTED:
+    if order != KEYPOINT_ORDER:
         actual = f"a hand in this order: {order}" if order else f"no hand in any known order: {contradiction}"
-        raise RecordingError(f"wrong joint order: keypoints must be {EXPECTED}, but are {actual} (p_HK)")
+        raise RecordingError(
+            f"wrong joint order: keypoints must be {KEYPOINT_ORDER}, but are {actual} (p_HK)"
+        )
 
 
 def _require_size(p: np.ndarray, unit: str | None = None) -> None:

@@ -31,8 +31,8 @@ _RIDGE = 0.01  # of the ridge regression; the mean square of a bending bone's co
 Motion = dict[str, Any]
 
 
-def _motion(name: str, seen: float, required: float, unit: str, advice: str) -> Motion:
-    amounts = {"seen": seen, "required": required, "unit": unit, "enough": seen >= required}
+def _motion(name: str, value: float, minimum: float, unit: str, advice: str) -> Motion:
+    amounts = {"seen": value, "required": minimum, "unit": unit, "enough": value >= minimum}
     return {"motion": name, **amounts, "advice": advice}
 
 
@@ -91,8 +91,8 @@ def finger_motions(p_HK: np.ndarray, keypoints: Sequence[int] = tuple(TIP_KEYPOI
         angles = (np.arccos(cosines).sum(axis=1), *map(np.arcsin, sines))
         motions_of = _THUMB_MOTIONS if thumb else _FINGER_MOTIONS
         for angle, (name, (least, advice)) in zip(angles, motions_of.items(), strict=True):
-            seen = float(np.rad2deg(np.ptp(np.percentile(angle, (1, 99)))))
-            motions.append(_motion(f"{finger} {name}", seen, least, "°", advice))
+            span = float(np.rad2deg(np.ptp(np.percentile(angle, (1, 99)))))
+            motions.append(_motion(f"{finger} {name}", span, least, "°", advice))
     return motions
 
 
@@ -133,11 +133,13 @@ def fingertip_speeds(recording: Recording) -> np.ndarray:
     Repeated frames are dropped first: a recorder that polls faster than the glove delivers stores some frames
     twice, which would look like a rest followed by a jump.
     """
-    fresh = np.concatenate([[True], np.any(np.diff(recording.p_HK, axis=0) != 0.0, axis=(1, 2))])
-    new_rows = np.flatnonzero(fresh)
-    both = recording.valid[new_rows[1:]] & recording.valid[new_rows[:-1]]
+    is_new = np.concatenate([[True], np.any(np.diff(recording.p_HK, axis=0) != 0.0, axis=(1, 2))])
+    new_rows = np.flatnonzero(is_new)
+    is_valid = recording.valid[new_rows[1:]] & recording.valid[new_rows[:-1]]
     p_HF = recording.p_HK[:, 4::4][new_rows].astype(float)
-    return (np.linalg.norm(np.diff(p_HF, axis=0), axis=-1) / np.diff(recording.t[new_rows])[:, None])[both]
+    return (np.linalg.norm(np.diff(p_HF, axis=0), axis=-1) / np.diff(recording.t[new_rows])[:, None])[
+        is_valid
+    ]
 
 
 def figures(recording: Recording) -> dict[str, Any]:

@@ -256,11 +256,11 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
                 _check_size(path, sum(member.file_size for member in archive.infolist()))
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            return {"data": loaded}
-        with loaded:
-            arrays = {name: loaded[name] for name in loaded.files}
+        archive = np.load(path, allow_pickle=False)
+        if isinstance(archive, np.ndarray):
+            return {"data": archive}
+        with archive:
+            arrays = {name: archive[name] for name in archive.files}
             return {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
     except RecordingError:
         raise

@@ -77,14 +77,14 @@ def recover(folder: Path) -> None:
     Logs of sessions that go on, those that cannot be read, and those whose recording exists stay.
     """
     for log in sorted(folder.glob("*.npz.log")):
-        saved = log.with_suffix("")
+        recording = log.with_suffix("")
         try:
             with writing(log), log.open("rb") as file:
                 lock(file.fileno(), log)
-                if saved.exists():
-                    raise OutputError(f"{saved.name} exists; move one of them away")
+                if recording.exists():
+                    raise OutputError(f"{recording.name} exists; move one of them away")
                 if _save(log):
-                    what = f"saved {saved}, the recording of a session that was interrupted"
+                    what = f"saved {recording}, the recording of a session that was interrupted"
                     warnings.warn(what, stacklevel=2)
         except (GeortError, ValueError) as error:
             warnings.warn(f"{log}: not recovered: {error}", stacklevel=2)

@@ -51,7 +51,7 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     plant = structure.plant
     q_drawn = [plant.GetJointByName(name, structure.hand).get_default_angle() for name in hand.joint_names]
     fingers = finger_shapes(hand, np.clip(q_drawn, hand.lower, hand.upper))
-    named, thumb = _thumb(structure, fingers, notes)
+    names, thumb = _thumb(structure, fingers, notes)
     others = [number for number in range(len(fingers)) if number != thumb]
     knuckles = np.array([finger.p_knuckle for finger in fingers])
     middle = knuckles[others].mean(axis=0)
@@ -67,21 +67,21 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     across = (knuckles - middle) @ R_RB[:, 1]
     forward, to_left, _ = (0.5 * (fingers[thumb].p_base + fingers[thumb].p_middle) - middle) @ R_RB
     place = "thumb's position indicates"
-    if named is not None and len(named) > 2:
+    if names is not None and len(names) > 2:
         # The order of the knuckles of named fingers tells more than the thumb's place.
-        places = [FINGER_NAMES.index(name) for name in named]
+        places = [FINGER_NAMES.index(name) for name in names]
         order = sorted(others, key=places.__getitem__)
-        apart = float(across[order[0]] - across[order[-1]])
-        if abs(apart) > _KNUCKLES_APART:
-            forward, to_left, place = 0.0, apart, "order of the fingers indicates"
+        spread = float(across[order[0]] - across[order[-1]])
+        if abs(spread) > _KNUCKLES_APART:
+            forward, to_left, place = 0.0, spread, "order of the fingers indicates"
     side = _side(structure, forward, to_left, place, notes)
-    if named is None:
+    if names is None:
         # The index finger is nearest to the thumb's side.
-        named = [FINGER_NAMES[0]] * len(fingers)
+        names = [FINGER_NAMES[0]] * len(fingers)
         by_place = np.argsort(-across * (1 if side == "right" else -1))
         in_order = [number for number in by_place if number != thumb]
         for name, number in zip(FINGER_NAMES[1:], in_order, strict=False):
-            named[number] = name
+            names[number] = name
     parts: list[Part] = []
     for role in (Role.kProximity, Role.kIllustration):
         parts = parts or parts_of(plant, structure.scene_graph, structure.palm, role, plant.world_frame())
@@ -89,7 +89,7 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     palm = np.concatenate([part.points for part in parts]) if parts else np.array(origins)
     # The hand base is at the wrist end of the palm, behind the middle of the knuckles.
     wrist = middle + ((palm - middle) @ R_RB[:, 2]).min(initial=0.0) * R_RB[:, 2]
-    return named, RigidTransform(RotationMatrix(R_RB), wrist), side
+    return names, RigidTransform(RotationMatrix(R_RB), wrist), side
 
 
 def _thumb(
@@ -132,15 +132,15 @@ def _side(structure: HandStructure, forward: float, to_left: float, place: str, 
     # Names of links come last, because a whole robot has links of both sides.
     model = [plant.GetModelInstanceName(structure.hand), *links]
     texts = ([structure.path.stem], [structure.palm[0].name()], model)
-    named = next(filter(None, map(side_by_name, texts)), None)
+    side_in_names = next(filter(None, map(side_by_name, texts)), None)
     if abs(to_left) < _SIDEWAYS_FRACTION * abs(forward):
-        side = named or "right"
+        side = side_in_names or "right"
         notes.append(f"the thumb is opposite the fingers, not at their side; assuming a {side} hand")
         return side
     side = "right" if to_left > 0 else "left"
-    if named is not None and named != side:
+    if side_in_names is not None and side_in_names != side:
         notes.append(
-            f"names indicate a {named} hand, but the {place} a {side} hand; check base_pose and "
+            f"names indicate a {side_in_names} hand, but the {place} a {side} hand; check base_pose and "
             "side, and the joint limits, which may close the fingers backwards"
         )
     return side

@@ -154,14 +154,14 @@ def _angle(v: np.ndarray, axis: int) -> float:
 def _tips(hand: Hand) -> Iterator[str]:
     """Finds fingertips far from their fingers."""
     lengths = [_link_lengths(chain.X_PJ, chain.p_tip) for chain in hand.kinematics().fingers]
-    usual = float(np.median([length.sum() for length in lengths]))
+    median = float(np.median([length.sum() for length in lengths]))
     plant, description = hand.plant, hand.description
     for finger, chain, length in zip(description.fingers, hand.kinematics().fingers, lengths, strict=True):
         joint, last = chain.all_joint_names[-1], length[-1]
-        if last > usual:
+        if last > median:
             yield (
                 f"the tip of {finger.name} lies {1e3 * last:.0f} mm from its last joint '{joint}', farther "
-                f"than fingers are long ({1e3 * usual:.0f} mm): correct tip_link, tip_point or the model's "
+                f"than fingers are long ({1e3 * median:.0f} mm): correct tip_link, tip_point or the model's "
                 "geometry"
             )
         frame = plant.GetBodyByName(finger.tip_link, hand.instance).body_frame()
@@ -194,11 +194,13 @@ def _collisions(hand: Hand) -> Iterator[str]:
         frames = [plant.GetBodyFrameIdOrThrow(body.index()) for body in bodies]
         return [id for frame in frames for id in inspector.GetGeometries(frame, Role.kProximity)]
 
-    bare = [finger.tip_link for finger in hand.description.fingers if not geometries(finger.tip_link)]
-    if bare:
-        yield f"fingertips without collision geometry touch nothing: {', '.join(bare)}"
+    tips_without_geometry = [
+        finger.tip_link for finger in hand.description.fingers if not geometries(finger.tip_link)
+    ]
+    if tips_without_geometry:
+        yield f"fingertips without collision geometry touch nothing: {', '.join(tips_without_geometry)}"
     long = [joint.child_body().name() for joint, length in _links(hand) if length > _SHORT_LINK]
-    if without := [link for link in long if link not in bare and not geometries(link)]:
+    if without := [link for link in long if link not in tips_without_geometry and not geometries(link)]:
         yield f"links of fingers without collision geometry: {listed(without)}"
     shares = sorted(contact_fractions(hand).items(), key=lambda item: -item[1])
     if often := [f"'{a}' and '{b}' in {share:.0%}" for (a, b), share in shares if share >= FREQUENT_FRACTION]:

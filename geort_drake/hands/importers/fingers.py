@@ -79,8 +79,8 @@ def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> tuple[RigidBody
         centre = max((X_RG @ end, X_RG @ -end), key=lambda p: float((p - p_RJ) @ along))
         return body, X_RL.inverse() @ centre, shape.radius(), f"a sphere of the {source}"
     depth = (points - p_RJ) @ along
-    near = points[depth > (1 - _END_FRACTION) * depth.max()] - p_RJ
-    across = near - np.outer(near @ along, along)
+    end_points = points[depth > (1 - _END_FRACTION) * depth.max()] - p_RJ
+    across = end_points - np.outer(end_points @ along, along)
     _, _, axes = np.linalg.svd(across - across.mean(axis=0), full_matrices=False)
     low, high = (across @ axes[:2].T).min(axis=0), (across @ axes[:2].T).max(axis=0)
     radius = float(np.clip(0.5 * (high - low).min(), *_RADIUS_RANGE))
@@ -218,17 +218,17 @@ def _shape(
             reach = np.linalg.norm(tips - origins[:, first], axis=1)
             longest = int(np.argmax(reach))
             q = trials[longest if reach[longest] > (1 + _STRETCH_GAIN) * reach[0] else 0]
-    (own, *others) = np.flatnonzero(coupling[joints[first]]).tolist()
-    if movers and not others and own not in movers:
+    (mover, *others) = np.flatnonzero(coupling[joints[first]]).tolist()
+    if movers and not others and mover not in movers:
         # How far the joints beyond the first were turned to stretch the finger, and from there to mid-range.
         turned, closing = (
             (angles[:, None] * axes)[bends][1:].sum(axis=0)
             for angles in ((coupling @ (q - start))[joints], 0.5 * (lower + upper) - (coupling @ q)[joints])
         )
-        angle = float(turned @ axes[first]) / len(beyond) / coupling[joints[first], own]
+        angle = float(turned @ axes[first]) / len(beyond) / coupling[joints[first], mover]
         # If they were turned to the side to which they close, the start was straight or bent backwards.
         if abs(angle) > _BENT and turned @ closing < 0.0:
-            q[own] = np.clip(start[own] + angle, kinematics.lower[own], kinematics.upper[own])
+            q[mover] = np.clip(start[mover] + angle, kinematics.lower[mover], kinematics.upper[mover])
     (axes,), (origins,), (tip,) = pose(q[None])
     angles = (coupling @ q)[joints]
     bend = ((0.5 * (lower + upper) - angles)[:, None] * axes)[bends].sum(axis=0)

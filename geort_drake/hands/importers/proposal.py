@@ -89,12 +89,12 @@ def propose(
             )
     hand = Hand(draft)
     names, X_RB, side = arrange(structure, hand, notes)
-    guessed: dict[str, list[str]] = {}
+    guesses: dict[str, list[str]] = {}
     for finger, source, label in zip(fingers, sources, names, strict=True):
         if not source.startswith("a sphere"):
-            guessed.setdefault(source, []).append(f"{label} {1e3 * finger.tip_radius:.1f} mm")
+            guesses.setdefault(source, []).append(f"{label} {1e3 * finger.tip_radius:.1f} mm")
     notes += [
-        f"tips and their radii come from {source}: {', '.join(tips)}" for source, tips in guessed.items()
+        f"tips and their radii come from {source}: {', '.join(tips)}" for source, tips in guesses.items()
     ]
     for reason in dict.fromkeys(structure.held_joints.values()):
         joints = listed([f"'{joint}'" for joint, why in structure.held_joints.items() if why == reason])
@@ -215,11 +215,11 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
     without = [f"'{joint}'" for joint in joints if joint not in controlled]
     if not without:
         return ActuationDescription()
-    some = "the model has"
+    subject = "the model has"
     if controlled:
-        some = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have"
+        subject = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have"
     notes.append(
-        f"{some} no position controllers; under actuation, replace the default gains "
+        f"{subject} no position controllers; under actuation, replace the default gains "
         f"{_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m with "
         "your hand's"
     )

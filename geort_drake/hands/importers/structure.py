@@ -191,27 +191,27 @@ class HandStructure:
 
     def _find_held_joints(self, fingers: list[Group], leaders: dict[str, str]) -> dict[str, str]:
         """Returns the joints that cannot belong to a finger, and the reason for each."""
-        moved: dict[str, set[int]] = {}
+        moved_fingers: dict[str, set[int]] = {}
         for number, finger in enumerate(fingers):
             for name in finger:
                 for mover in {name, leaders.get(name, name)}:
-                    moved.setdefault(mover, set()).add(number)
+                    moved_fingers.setdefault(mover, set()).add(number)
         on_fingers = set(itertools.chain(*fingers))
-        held = {}
+        reasons = {}
         for name, joint in self._joints.items():
             if name in leaders:
                 continue
             if name not in on_fingers:
-                held[name] = "belongs to no finger"
-            elif len(moved[name]) > 1:
-                held[name] = f"moves {len(moved[name])} fingers at once"
+                reasons[name] = "belongs to no finger"
+            elif len(moved_fingers[name]) > 1:
+                reasons[name] = f"moves {len(moved_fingers[name])} fingers at once"
             elif not isinstance(joint, RevoluteJoint):
-                held[name] = "is not a revolute joint"
+                reasons[name] = "is not a revolute joint"
             elif not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
-                held[name] = _UNLIMITED
+                reasons[name] = _UNLIMITED
             elif joint.position_lower_limit() >= joint.position_upper_limit():
-                held[name] = "has no range between its position limits"
-        return held
+                reasons[name] = "has no range between its position limits"
+        return reasons
 
     def _chain(self, finger: Group, leaders: dict[str, str]) -> Chain | None:
         """Returns the chain of a finger; None if none of its joints moves independently."""
@@ -236,10 +236,10 @@ def _carrier(groups: dict[Group, list[RigidBody]], palm: str | None) -> Group:
     if palm is None:
         outgoing = _outgoing(groups)
         return max(groups, key=lambda group: outgoing[group])
-    named = {body.name(): group for group, bodies in groups.items() for body in bodies}
-    if palm not in named:
-        raise UnknownNameError("link of the model", palm, named)
-    return named[palm]
+    group_of = {body.name(): group for group, bodies in groups.items() for body in bodies}
+    if palm not in group_of:
+        raise UnknownNameError("link of the model", palm, group_of)
+    return group_of[palm]
 
 
 def _several_hands(palms: list[str]) -> HandError:

@@ -37,7 +37,7 @@ class Device:
         rate_hz: frames per second.
         scale: ratio of measured to true finger lengths.
         tip_m: (5,) offset of the measured tips along the last bones, m; positive beyond the true tip.
-        misplaced: (5, 3) errors of the fingers' base points in H, m.
+        knuckle_offset: (5, 3) errors of the fingers' base points in H, m.
         p_HD: (3,) position of the measured wrist D in the true H, m.
         jitter: scale of a glove's jitter, tremor and drift, as in `synthesize_play`.
         noise_m: standard deviation of each coordinate of a camera's keypoints, m; 0 for a glove.
@@ -47,7 +47,7 @@ class Device:
     rate_hz: float
     scale: float
     tip_m: np.ndarray
-    misplaced: np.ndarray
+    knuckle_offset: np.ndarray
     p_HD: np.ndarray
     jitter: float
     noise_m: float = 0.0
@@ -61,14 +61,14 @@ class Device:
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Device":
         """Draws a device from the distributions above."""
-        misplaced = rng.normal(0.0, _KNUCKLE_M, (5, 3))
-        misplaced[0] += rng.normal(0.0, _THUMB_BASE_M, 3)
+        knuckle_offset = rng.normal(0.0, _KNUCKLE_M, (5, 3))
+        knuckle_offset[0] += rng.normal(0.0, _THUMB_BASE_M, 3)
         camera = rng.random() < _CAMERA_SHARE
         return cls(
             rate_hz=float(rng.choice(_CAMERA_RATES_HZ if camera else _GLOVE_RATES_HZ)),
             scale=np.exp(rng.normal(0.0, _SCALE_SPREAD)),
             tip_m=rng.normal(_TIP_M, _TIP_DEVIATION_M) + rng.normal(0.0, _FINGER_TIP_M, 5),
-            misplaced=misplaced,
+            knuckle_offset=knuckle_offset,
             p_HD=rng.normal(0.0, _WRIST_M, 3),
             jitter=rng.uniform(*_JITTER),
             noise_m=rng.uniform(*_NOISE_M) if camera else 0.0,
@@ -80,7 +80,7 @@ class Device:
         lengths = self.scale * hand.lengths
         lengths[:, 2] += self.tip_m
         return dataclasses.replace(
-            hand, lengths=np.maximum(lengths, _SHORTEST_BONE_M), p_HB=hand.p_HB + self.misplaced
+            hand, lengths=np.maximum(lengths, _SHORTEST_BONE_M), p_HB=hand.p_HB + self.knuckle_offset
         )
 
     def measure(self, p_HK: np.ndarray, rate_hz: float, rng: np.random.Generator) -> np.ndarray:

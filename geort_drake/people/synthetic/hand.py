@@ -182,9 +182,9 @@ class HumanHand:
                 step = (Jt @ np.linalg.solve(Jf @ Jt + damping, error[..., None]))[..., 0]
                 # Far targets and straight fingers give steps for which the linearisation does not hold.
                 step /= np.maximum(np.abs(step).max(axis=-1, keepdims=True) / _MAX_STEP, 1.0)
-                moved = angles + step
-                free = free * ((moved >= lower) & (moved <= upper))
-            theta = np.clip(moved, lower, upper).reshape(theta.shape)
+                trial = angles + step
+                free = free * ((trial >= lower) & (trial <= upper))
+            theta = np.clip(trial, lower, upper).reshape(theta.shape)
         return theta
 
     @classmethod
@@ -212,8 +212,8 @@ class HumanHand:
         This is the `fit` to `synthesize_play(seed=0)`, stored because the play takes many seconds and because
         a stored hand has the same last digits on every machine.
         """
-        stored = json.loads(files(__package__).joinpath("adult.json").read_text())
-        return cls(**{name: np.array(values) for name, values in stored.items()})
+        values_of = json.loads(files(__package__).joinpath("adult.json").read_text())
+        return cls(**{name: np.array(values) for name, values in values_of.items()})
 
     @classmethod
     def fit(cls, recording: Recording) -> "HumanHand":

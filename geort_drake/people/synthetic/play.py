@@ -140,21 +140,21 @@ class Timeline:
         chunks = np.array_split(theta, max(1, len(theta) // 1000))
         meets = np.concatenate([solid.depths(chunk).max(axis=1) for chunk in chunks]) > MAX_INTERPENETRATION
         # The hand leaves its planned path where digits meet, until it is back there as a movement starts.
-        start, on_path, stopped = postures[movement[0]], True, False
+        start, on_path, is_stopped = postures[movement[0]], True, False
         for i in range(1, len(t)):
             if movement[i] != movement[i - 1]:
-                on_path = not stopped
+                on_path = not is_stopped
                 start = postures[movement[i]] if on_path else theta[i - 1] - noise[i - 1]
-            if on_path and not stopped and not meets[i]:
+            if on_path and not is_stopped and not meets[i]:
                 continue
-            whole = postures[movement[i] + 1] - start
-            wanted = np.clip(start + share[i] * whole + noise[i], lower, upper)
-            change = wanted - theta[i - 1]
+            stroke = postures[movement[i] + 1] - start
+            target = np.clip(start + share[i] * stroke + noise[i], lower, upper)
+            change = target - theta[i - 1]
             # Once the way is free again, the hand is at most as fast as the whole movement.
-            fastest = 1.875 * np.abs(whole).max() / duration[i] * (t[i] - t[i - 1]) + _MAX_NOISE
+            fastest = 1.875 * np.abs(stroke).max() / duration[i] * (t[i] - t[i - 1]) + _MAX_NOISE
             aim = theta[i - 1] + change / max(1.0, np.abs(change).max() / fastest)
             theta[i], _ = solid.move(theta[i - 1], aim)
-            stopped = bool(np.abs(theta[i] - wanted).max() > 1e-12)
+            is_stopped = bool(np.abs(theta[i] - target).max() > 1e-12)
         return theta
 
     def _within(self, theta: np.ndarray) -> np.ndarray:
@@ -293,15 +293,15 @@ def _close_pinch(
     weights = np.isin(np.arange(5), (_THUMB, finger)).astype(float)
     for _ in range(6):
         p_HF = hand.fingertips(theta)
-        apart = p_HF[:, finger] - p_HF[:, _THUMB]
-        apart *= (0.5 * gap / np.maximum(np.linalg.norm(apart, axis=1), 1e-6))[:, None]
-        p_HF[:, _THUMB], p_HF[:, finger] = middle - apart, middle + apart
+        half_gap = p_HF[:, finger] - p_HF[:, _THUMB]
+        half_gap *= (0.5 * gap / np.maximum(np.linalg.norm(half_gap, axis=1), 1e-6))[:, None]
+        p_HF[:, _THUMB], p_HF[:, finger] = middle - half_gap, middle + half_gap
         theta = hand.solve_fingertips(p_HF, theta, weights, iterations=3)
         # If one of the two cannot follow, the other moves to it.
         p_HF = hand.fingertips(theta)
         middle = 0.5 * (p_HF[:, _THUMB] + p_HF[:, finger])
-    reached = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001
-    return theta, reached
+    is_closed = np.linalg.norm(p_HF[:, finger] - p_HF[:, _THUMB], axis=1) < _TIP_GAP_M[1] + 0.001
+    return theta, is_closed
 
 
 def _glove_noise(frames: int, rate_hz: float, rng: np.random.Generator) -> np.ndarray:

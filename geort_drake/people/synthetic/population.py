@@ -71,7 +71,7 @@ class Person:
         amplitude: (5,) amplitude of each finger's free movements, as a fraction of the hand's range.
         pace: factor on the durations of movements in `synthesize_play`.
         fingers: fingers that are moved on purpose, 0 to 4 from the thumb.
-        pinched: fingers that pinch with the thumb.
+        pinch_fingers: fingers that pinch with the thumb.
         gestures: names of the whole-hand gestures that the person makes.
         mix: (3,) probabilities of pinches, sweeps of a finger, and gestures.
         stops_after: fraction of a recording after which the hand rests; 1 for most people.
@@ -85,7 +85,7 @@ class Person:
     amplitude: np.ndarray
     pace: float
     fingers: tuple[int, ...]
-    pinched: tuple[int, ...]
+    pinch_fingers: tuple[int, ...]
     gestures: tuple[str, ...]
     mix: np.ndarray
     stops_after: float
@@ -112,15 +112,15 @@ class Person:
     def _play(self, duration_s: float, rng: np.random.Generator) -> play.Timeline:
         timeline = _PersonalTimeline(self)
         while timeline.times[-1] < self.stops_after * duration_s:
-            before = timeline.times[-1]
+            start = timeline.times[-1]
             activity = rng.choice(("pinch", "sweep", "gesture"), p=self.mix)
             if activity == "pinch":
-                finger = rng.choice(self.pinched)
+                finger = rng.choice(self.pinch_fingers)
                 postures = play.pinch_postures(self.hand, finger, rng)
                 play.pinch(timeline.touching(finger), finger, postures, rng)
             elif activity == "gesture":
                 _GESTURES[rng.choice(self.gestures)](timeline, rng)
-            if activity == "sweep" or timeline.times[-1] == before:  # the pinch is out of reach
+            if activity == "sweep" or timeline.times[-1] == start:  # the pinch is out of reach
                 play.sweep(timeline, rng.choice(self.fingers), rng)
         timeline.hold(duration_s)
         return timeline
@@ -142,8 +142,8 @@ class _PersonalTimeline(play.Timeline):
 
     def move(self, theta: np.ndarray, duration_s: float) -> None:
         theta, rest = np.reshape(theta, (5, 4)), self.person.rest.reshape(5, 4)
-        scaled = _scaled_to_range(self.person.hand, theta.ravel()).reshape(5, 4)
-        free = rest + self.person.amplitude[:, None] * (scaled - rest)
+        angles = _scaled_to_range(self.person.hand, theta.ravel()).reshape(5, 4)
+        free = rest + self.person.amplitude[:, None] * (angles - rest)
         super().move(np.where(self.exact, theta, free), self.person.pace * duration_s)
 
 
@@ -166,9 +166,9 @@ def sample_person(seed: int, number: int = 0) -> Person:
         amplitude[~np.isin(np.arange(5), fingers)] *= _IDLE_AMPLITUDE
     pinches = rng.random() >= _NO_PINCH_SHARE
     gestures = tuple(name for name in _GESTURES if rng.random() < _GESTURE_SHARE)
-    pinched = tuple(f for f in fingers if f and pinches and rng.random() < _PINCHED_SHARE)
+    pinch_fingers = tuple(f for f in fingers if f and pinches and rng.random() < _PINCHED_SHARE)
     # Assumption: any mixture is as likely as any other.
-    mix = rng.dirichlet(np.ones(3)) * (bool(pinched), True, bool(gestures))
+    mix = rng.dirichlet(np.ones(3)) * (bool(pinch_fingers), True, bool(gestures))
     return Person(
         seed=seed,
         number=number,
@@ -178,7 +178,7 @@ def sample_person(seed: int, number: int = 0) -> Person:
         amplitude=amplitude,
         pace=np.exp(rng.uniform(*np.log(_PACE))),
         fingers=fingers,
-        pinched=pinched,
+        pinch_fingers=pinch_fingers,
         gestures=gestures,
         mix=mix / mix.sum(),
         stops_after=rng.uniform(*_STOP_AFTER) if rng.random() < _STOPPING_SHARE else 1.0,
@@ -213,12 +213,12 @@ def sample_population(
     if processes is None:
         processes = usable_cores() if count >= _MIN_PARALLEL else 1
     keypoints = partial(_keypoints, seed, duration_s, rate_hz)
-    one = np.dtype((np.float32, (play.frame_count(duration_s, rate_hz), KEYPOINT_COUNT, 3)))
+    dtype = np.dtype((np.float32, (play.frame_count(duration_s, rate_hz), KEYPOINT_COUNT, 3)))
     if processes == 1:
-        return np.fromiter(map(keypoints, range(count)), one, count)
+        return np.fromiter(map(keypoints, range(count)), dtype, count)
     start = {"initializer": end_with, "initargs": (os.getpid(),), "env": {"OMP_NUM_THREADS": "1"}}
     with ProcessPoolExecutor(processes, **start) as pool:
-        return np.fromiter(pool.map(keypoints, range(count), chunksize=4), one, count)
+        return np.fromiter(pool.map(keypoints, range(count), chunksize=4), dtype, count)
 
 
 def _keypoints(seed: int, duration_s: float, rate_hz: float, number: int) -> np.ndarray:

@@ -106,34 +106,34 @@ class SolidHand:
         chain[..., 0, :] += _WEB * (chain[..., 1, :] - chain[..., 0, :])
         return _Proximity.between(*_ends(chain), self._touching_distance).pair_depths()
 
-    def move(self, theta: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def move(self, theta: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Moves the hand towards a posture until digits touch; they slide along each other unless pressed.
 
         Args:
             theta: (20,) present joint angles, rad, which interpenetrate by at most `MAX_INTERPENETRATION`.
-            wanted: (20,) joint angles to reach, rad.
+            target: (20,) joint angles to reach, rad.
 
         Returns:
             The reached joint angles (20,), rad, and which digits touch another one, (5,) bool. If nothing is
-            in the way, the angles are `wanted` itself. Where digits meet on the way, they slide on if
+            in the way, the angles are `target` itself. Where digits meet on the way, they slide on if
             they move along each other by more than into each other, or else stop; the others go on.
         """
-        steps_left = math.ceil((self._reach @ np.abs(wanted - theta)).max() / _STEP_M)
+        steps_left = math.ceil((self._reach @ np.abs(target - theta)).max() / _STEP_M)
         while True:
-            change = wanted - theta
+            change = target - theta
             steps = max(1, math.ceil((self._reach @ np.abs(change)).max() / _STEP_M))
             path = theta + np.arange(steps + 1)[:, None] / steps * change
-            path[-1] = wanted
+            path[-1] = target
             blocked = self.depths(path[1:]).max(axis=1) > MAX_INTERPENETRATION
             if not blocked.any():
                 return path[-1], self._proximity(path[-1]).touching()
-            before = int(np.argmax(blocked))
-            proximity = self._proximity(path[before + 1])
-            start, (theta, touching) = theta, self._stop(path[before], path[before + 1], proximity)
-            steps_left -= before + 1
+            last_free = int(np.argmax(blocked))
+            proximity = self._proximity(path[last_free + 1])
+            start, (theta, touching) = theta, self._stop(path[last_free], path[last_free + 1], proximity)
+            steps_left -= last_free + 1
             if steps_left <= 0 or (self._reach @ np.abs(theta - start)).max() < _AT_REST_M:
                 return theta, touching
-            wanted = np.where(np.repeat(self._pressed(theta, wanted), 4), theta, wanted)
+            target = np.where(np.repeat(self._pressed(theta, target), 4), theta, target)
 
     def separate(self, theta: np.ndarray) -> np.ndarray:
         """Returns the posture (20,), rad, near theta (20,) in which no digits interpenetrate.
@@ -142,12 +142,12 @@ class SolidHand:
         another. Where joint limits leave no way, the result interpenetrates by more than
         `MAX_INTERPENETRATION`, but no more than theta does.
         """
-        least, best = math.inf, theta
+        smallest, best = math.inf, theta
         for _ in range(_SEPARATIONS):
             proximity = self._proximity(theta)
             depth = proximity.depth.max()
-            if depth < least:
-                least, best = depth, theta
+            if depth < smallest:
+                smallest, best = depth, theta
             if depth <= MAX_INTERPENETRATION:
                 break
             theta = self._corrected(theta, proximity)
@@ -166,52 +166,55 @@ class SolidHand:
             friction = None
         # Where joint limits or several digits leave no common way out, one digit after another goes on as far
         # as it can. Those that the thumb was wedged between can so leave it.
-        reached = free.copy()
-        most = max(MAX_INTERPENETRATION, self.depths(free).max())
+        posture = free.copy()
+        limit = max(MAX_INTERPENETRATION, self.depths(free).max())
         for digit in range(5):
             joints = slice(4 * digit, 4 * digit + 4)
-            path = np.tile(reached, (9, 1))
-            path[:, joints] += np.linspace(1.0, 0.0, 9)[:, None] * (theta - reached)[joints]
-            passable = self.depths(path[:-1]).max(axis=1) <= most
-            reached = path[int(np.argmax(np.append(passable, True)))]
-        return reached, self._proximity(reached).touching()
+            path = np.tile(posture, (9, 1))
+            path[:, joints] += np.linspace(1.0, 0.0, 9)[:, None] * (theta - posture)[joints]
+            passable = self.depths(path[:-1]).max(axis=1) <= limit
+            posture = path[int(np.argmax(np.append(passable, True)))]
+        return posture, self._proximity(posture).touching()
 
-    def _pressed(self, theta: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-        """Returns which digits (5,) touch another one, and would stick to it on their way to `wanted` (20,).
+    def _pressed(self, theta: np.ndarray, target: np.ndarray) -> np.ndarray:
+        """Returns which digits (5,) touch another one, and would stick to it on their way to `target` (20,).
 
         Skin sticks where the way, linearised, leads into the other digit by more than along it.
         """
         proximity = self._proximity(theta)
-        contacts, pressed = proximity.deepest(0.0), np.zeros(5, bool)
-        change = (wanted - theta).reshape(5, 4)[:, :3].ravel()
+        contacts, is_pressed = proximity.deepest(0.0), np.zeros(5, bool)
+        change = (target - theta).reshape(5, 4)[:, :3].ravel()
         way = self._contact_jacobian(theta, proximity, contacts) @ change
         normal = proximity.normals(contacts)
         into = -np.sum(way * normal, axis=1)
         along = np.linalg.norm(way + into[:, None] * normal, axis=1)
         stuck = np.array(contacts, dtype=int)[_FRICTION * into > along]
-        pressed[_FIRST[stuck] // 3] = pressed[_SECOND[stuck] // 3] = True
-        return pressed
+        is_pressed[_FIRST[stuck] // 3] = is_pressed[_SECOND[stuck] // 3] = True
+        return is_pressed
 
     def _corrected(
-        self, theta: np.ndarray, proximity: "_Proximity", before: tuple[np.ndarray, np.ndarray] | None = None
+        self,
+        theta: np.ndarray,
+        proximity: "_Proximity",
+        free_ends: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> np.ndarray:
         """Returns theta (20,) after the least joint motion that brings all depths to `_AIM_M`, linearised.
 
-        With the ends of the capsules `before` the motion, friction also holds skin on skin as it is pressed.
+        With the capsules' `free_ends` before the motion, friction also holds skin on skin as it is pressed.
         """
         contacts = proximity.deepest(_AIM_M)
-        apart, normal = proximity.apart(contacts), proximity.normals(contacts)
+        separation, normal = proximity.separation(contacts), proximity.normals(contacts)
         J = self._contact_jacobian(theta, proximity, contacts)
         push = proximity.depth[contacts] - _AIM_M
-        if before is None:
-            J, wanted = (normal[:, None] @ J)[:, 0], push
+        if free_ends is None:
+            J, correction = (normal[:, None] @ J)[:, 0], push
         else:
-            slip = apart - proximity._replace(start=before[0], end=before[1]).apart(contacts)
+            slip = separation - proximity._replace(start=free_ends[0], end=free_ends[1]).separation(contacts)
             slip -= np.sum(slip * normal, axis=1, keepdims=True) * normal
             distance = np.maximum(np.sqrt(np.sum(slip**2, axis=1)), 1e-9)
-            held = np.minimum(1.0, _FRICTION * push / distance)[:, None] * slip
-            J, wanted = J.reshape(-1, 15), (push[:, None] * normal - held).ravel()
-        change = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), wanted)
+            friction = np.minimum(1.0, _FRICTION * push / distance)[:, None] * slip
+            J, correction = J.reshape(-1, 15), (push[:, None] * normal - friction).ravel()
+        change = J.T @ np.linalg.solve(J @ J.T + _DAMPING * np.eye(len(J)), correction)
         change = change.reshape(5, 3)
         theta = theta + np.column_stack([change, BEND_RATIO * change[:, 2]]).ravel()
         return np.minimum(np.maximum(theta, self.hand.lower), self.hand.upper)
@@ -289,8 +292,10 @@ class _Proximity(NamedTuple):
         s = np.minimum(np.maximum((b * f - c * e) / np.maximum(a * e - b * b, 1e-6 * a * e), 0.0), 1.0)
         t = np.minimum(np.maximum((b * s + f) / e, 0.0), 1.0)
         s = np.minimum(np.maximum((b * t - c) / a, 0.0), 1.0)
-        apart = w + s[..., None] * u - t[..., None] * v
-        return cls(start, end, s, t, touching_distance - np.sqrt(np.einsum("...i,...i", apart, apart)))
+        separation = w + s[..., None] * u - t[..., None] * v
+        return cls(
+            start, end, s, t, touching_distance - np.sqrt(np.einsum("...i,...i", separation, separation))
+        )
 
     def pair_depths(self) -> np.ndarray:
         """Returns the deepest depth (..., 10), m, of each pair of digits."""
@@ -301,7 +306,7 @@ class _Proximity(NamedTuple):
         pairs = [start + int(np.argmax(self.depth[start:end])) for start, end in pairwise(_PAIR_BOUNDS)]
         return [pair for pair in pairs if self.depth[pair] > depth]
 
-    def apart(self, contacts: Sequence[int]) -> np.ndarray:
+    def separation(self, contacts: Sequence[int]) -> np.ndarray:
         """Returns vectors (n, 3), m, from the second to the first capsule's closest point, of some pairs."""
         first, second = _FIRST[contacts], _SECOND[contacts]
         p_first = self.start[first] + self.s[contacts, None] * (self.end[first] - self.start[first])
@@ -310,7 +315,7 @@ class _Proximity(NamedTuple):
 
     def normals(self, contacts: Sequence[int]) -> np.ndarray:
         """Returns the directions (n, 3) of `apart`."""
-        apart = self.apart(contacts)
+        apart = self.separation(contacts)
         return apart / np.maximum(np.sqrt(np.sum(apart**2, axis=1, keepdims=True)), 1e-9)
 
     def touching(self) -> np.ndarray:
