@@ -47,7 +47,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.hands.hand import Hand
     from geort_drake.people.synthetic.hand import HumanHand
     from geort_drake.people.synthetic.play import synthesize_play
-    from geort_drake.simulation.free_play import keep_reached, seen_fingertips
+    from geort_drake.simulation.free_play import seen_fingertips, select_reachable
     from geort_drake.simulation.plan.grasp import GraspPlanner
     from geort_drake.simulation.scenario_files import load_scenario
     from geort_drake.simulation.trial import run_trial
@@ -68,7 +68,7 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     retarget = AffineMap(hand, rest, gain, R, shift + np.array(offset))
     person = HumanHand.fit(play)
     plans = GraspPlanner(scenario, description).plans()
-    goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))
+    goal, _ = select_reachable(plans, seen_fingertips(retarget, hand, person))
     result, _ = run_trial(scenario, retarget, (person, goal))
     return {"map": map_name, **result.to_json()}
 

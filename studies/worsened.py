@@ -14,7 +14,7 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.base import forget
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import Trial
@@ -199,7 +199,7 @@ class Trials:
         same = key.task, key.method, key.condition, seed
         if same not in self._goals:
             seen = seen_fingertips(retarget, self._hand, self._person)
-            self._goals[same] = keep_reached(self._plans[key.task], seen)
+            self._goals[same] = select_reachable(self._plans[key.task], seen)
         goal, attainable = self._goals[same]
         return Trial(scenario, retarget, (self._person, goal), attainable)
 

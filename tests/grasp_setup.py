@@ -18,7 +18,7 @@ from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.retargeting.base import kinematics_of
 from geort_drake.simulation.diagram import TrialDiagram
-from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.person.finger_motion import FingerMotion
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.person.perception import FreePlay
@@ -208,6 +208,6 @@ def retarget_and_play(method: str) -> tuple[Any, FreePlay]:
 def attempt(task: str, method: str, settings: str) -> tuple[TrialResult, bool]:
     """A person's trial of a finger task, and whether the plan that they keep was attainable."""
     retarget, seen = retarget_and_play(method)
-    goal, attainable = keep_reached(goals(task), seen)
+    goal, attainable = select_reachable(goals(task), seen)
     scenario = load_scenario(task=task, text=settings)
     return run_trial(scenario, retarget, (person_who_plays(), goal))[0], attainable

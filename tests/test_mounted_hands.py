@@ -13,7 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake import Hand, load_hand, load_retargeter, load_scenario, make_trial_diagram, run_trial
 from geort_drake.errors import HandError
 from geort_drake.people.keypoints import mirrored
-from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.plan.contacts import GRIPS, grip_contacts, palm_contact
 from geort_drake.simulation.plan.grasp import GraspPlanner
@@ -98,7 +98,7 @@ def test_leap_grasps():
     scenario, hand = load_scenario(hand="leap_right", text=text), Hand("leap_right")
     person, retarget = person_who_plays(), centred_map(hand)
     plans = GraspPlanner(scenario, hand.description).plans(2)
-    goal, _ = keep_reached(plans, seen_fingertips(retarget, hand, person))
+    goal, _ = select_reachable(plans, seen_fingertips(retarget, hand, person))
     result, _ = run_trial(scenario, retarget, (person, goal))
     assert result.success and result.attempts == 1 and result.metrics["slip"] < 0.03
 

@@ -17,7 +17,7 @@ from geort_drake import load_hand
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.resources import object_names
-from geort_drake.simulation.free_play import keep_reached
+from geort_drake.simulation.free_play import select_reachable
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.contacts import (
@@ -233,5 +233,5 @@ def test_a_person_who_cannot_show_the_widest_opening_gets_one_that_they_can():
     assert np.ptp([goal.p_BF_open[0] for goal in goals], axis=0).max() > 0.05
     for goal in (goals[0], goals[-1]):
         assert 0.01 < goal.clearance < np.inf
-        kept, attainable = keep_reached(goals, FreePlay(goal.p_BF_open[None], goal.p_BF_open[None]))
+        kept, attainable = select_reachable(goals, FreePlay(goal.p_BF_open[None], goal.p_BF_open[None]))
         assert attainable and np.linalg.norm(kept.p_BF_open[0] - goal.p_BF_open[0]) <= kept.clearance

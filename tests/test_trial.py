@@ -26,7 +26,7 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.store import shipped_maps
-from geort_drake.simulation.free_play import keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import seen_fingertips, select_reachable
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks.grasp import GraspPhase
@@ -175,10 +175,10 @@ def test_the_first_plan_that_free_play_reaches_is_kept():
     _, seen = retarget_and_play("affine_ik")
     near = dc.replace(planned_goal("cylinder"), p_BF_open=seen.p_BF[0], clearance=0.01)
     far, farther = moved(near, 0.3), moved(near, 0.5)
-    kept, attainable = keep_reached([far, near, moved(near, 0.0)], seen)
+    kept, attainable = select_reachable([far, near, moved(near, 0.0)], seen)
     assert attainable and kept.p_BF_open is near.p_BF_open and kept.clearance == 0.01
     for plans, frames in (([farther, far], seen), ([far, near], seen._replace(p_BF=seen.p_BF[:0]))):
-        kept, attainable = keep_reached(plans, frames)
+        kept, attainable = select_reachable(plans, frames)
         assert not attainable and kept.p_BF_open is far.p_BF_open and kept.clearance == np.inf
 
 

@@ -139,11 +139,11 @@ def time_interval(frame: pd.DataFrame, clusters: Sequence[np.ndarray]) -> Interv
 
 def holm(p: Sequence[float]) -> list[float]:
     """Adjusts p-values for their number by Holm's method."""
-    order, largest, adjusted = np.argsort(p), 0.0, [1.0] * len(p)
+    order, largest, result = np.argsort(p), 0.0, [1.0] * len(p)
     for rank, index in enumerate(order):
         largest = max(largest, min(1.0, (len(p) - rank) * p[index]))
-        adjusted[index] = largest
-    return adjusted
+        result[index] = largest
+    return result
 
 
 def pairs_of(frame: pd.DataFrame, method: str, reference: str, column: str) -> pd.DataFrame:
@@ -164,8 +164,8 @@ def sign_test(differences: np.ndarray) -> tuple[int, int, float]:
 
     For single trials that succeed or fail it is McNemar's exact test.
     """
-    won, lost = int((differences > 0).sum()), int((differences < 0).sum())
-    return won, lost, float(binomtest(won, won + lost).pvalue) if won + lost else 1.0
+    wins, losses = int((differences > 0).sum()), int((differences < 0).sum())
+    return wins, losses, float(binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
 
 
 def table(frame: pd.DataFrame, methods: Sequence[str]) -> pd.DataFrame:

@@ -273,9 +273,9 @@ class Benchmark:
         for variant in scenarios.keys() & self.scenarios.keys():
             texts = (dump_scenario(each[variant]) for each in (scenarios, self.scenarios))
             _require_same(self.folder / SCENARIOS, str(variant), *map(scenario_fields, texts))
-        for name, before in stored.provenance.items():
-            if before != now.provenance.get(name):
-                warn(f"{path}: the trials were made with another {name}: {before}")
+        for name, origin in stored.provenance.items():
+            if origin != now.provenance.get(name):
+                warn(f"{path}: the trials were made with another {name}: {origin}")
         self._earlier = scenarios
         now.methods, now.refused = stored.methods, stored.refused
         now.provenance = stored.provenance
@@ -323,13 +323,13 @@ class Benchmark:
         write_text(self.folder / SETTINGS, json.dumps(dc.asdict(self.settings), indent=2) + "\n")
 
 
-def _require_same(path: Path, name: str, stored: Any, now: Any) -> None:
+def _require_same(path: Path, name: str, stored: Any, current: Any) -> None:
     """Raises BenchmarkError for the first field in which two settings differ."""
-    if isinstance(stored, dict) and isinstance(now, dict):
-        for field in {**stored, **now}:
-            _require_same(path, f"{name}.{field}", stored.get(field), now.get(field))
-    elif stored != now:
+    if isinstance(stored, dict) and isinstance(current, dict):
+        for field in {**stored, **current}:
+            _require_same(path, f"{name}.{field}", stored.get(field), current.get(field))
+    elif stored != current:
         raise BenchmarkError(
-            f"{path}: this benchmark was begun with another {name}: {stored}, not {now}; use the same, or "
-            "choose another folder"
+            f"{path}: this benchmark was begun with another {name}: {stored}, not {current}; use the same, "
+            "or choose another folder"
         )

@@ -81,7 +81,7 @@ class JointDriver:
         self.bus = open_driver_bus(endpoint)
         self.running, self.holding = True, True
         self._newest: JointTargets | None = None
-        self._arrived = self._next = clock()
+        self._arrival = self._next = clock()
         self._measured: tuple[float, np.ndarray] | None = None
         self._sequence = 0
 
@@ -114,14 +114,16 @@ class JointDriver:
             self._report(now, position if readable else self._command, fault)
         self._next = max(self._next + self._period, now)
         self._sleep(max(self._next - now, 0.0))
-        if received := self.bus.fetch():
-            self._newest, self._arrived = received[-1], self._clock()
+        if messages := self.bus.fetch():
+            self._newest, self._arrival = messages[-1], self._clock()
         targets = self._newest
-        late = targets is not None and self._clock() - self._arrived > targets.hold_after
-        self.holding = targets is None or late or bool(fault) or not readable
+        is_late = targets is not None and self._clock() - self._arrival > targets.hold_after
+        self.holding = targets is None or is_late or bool(fault) or not readable
         if targets is not None and not self.holding:
-            wanted = dict(zip(targets.names, targets.position, strict=True))
-            goal = np.array([wanted.get(name, q) for name, q in zip(self.names, self._command, strict=True)])
+            positions = dict(zip(targets.names, targets.position, strict=True))
+            goal = np.array(
+                [positions.get(name, q) for name, q in zip(self.names, self._command, strict=True)]
+            )
             step = self._speed * self._period
             goal = np.clip(goal, self._lower, self._upper)
             self._command = self._command + np.clip(goal - self._command, -step, step)
@@ -135,8 +137,8 @@ class JointDriver:
         if array.shape != (len(self.names),):
             raise LiveError(f"driver: {name} must be {len(self.names)} numbers, not of shape {array.shape}")
         for joint, number in zip(self.names, array, strict=True):
-            unlimited = np.isinf(number) and name in ("lower", "upper")
-            if not (np.isfinite(number) or unlimited):
+            is_unlimited = np.isinf(number) and name in ("lower", "upper")
+            if not (np.isfinite(number) or is_unlimited):
                 raise LiveError(f"driver: {name} of joint '{joint}' must be finite, not {number}")
         return array.copy()
 

@@ -174,10 +174,10 @@ class GloveStream(PythonSystem):
         frame = self._newest()
         if frame is None:
             return EventStatus.DidNothing()
-        arrived = self._now()
-        stamp = arrived if frame.time is None else frame.time
-        sent = stamp if abs(arrived - stamp) < _SAME_CLOCK_S else arrived
-        lateness = self.sender_clock.lateness(arrived, stamp, self._arrivals)
+        arrival = self._now()
+        stamp = arrival if frame.time is None else frame.time
+        sent = stamp if abs(arrival - stamp) < _SAME_CLOCK_S else arrival
+        lateness = self.sender_clock.lateness(arrival, stamp, self._arrivals)
         self._arrivals = 0
         self.largest_drift = max(self.largest_drift, self.sender_clock.drift)
         self.late += lateness > MAX_LATENESS_S
@@ -209,14 +209,14 @@ class _Block(NamedTuple):
     Attributes:
         fastest: delay of the fastest frame, s.
         spread: by how much longer the slowest took, s.
-        arrived: number of frames that arrived.
+        arrivals: number of frames that arrived.
         frames: number of frames that were sent.
         offset: the clock's offset at the end, s.
     """
 
     fastest: float
     spread: float
-    arrived: int
+    arrivals: int
     frames: int
     offset: float
 
@@ -227,13 +227,13 @@ def _sent(steps: list[tuple[float, int]]) -> int:
     Args:
         steps: steps of the stamps, s, and the number of frames that arrived with each.
     """
-    arrived = sum(frames for _, frames in steps)
+    arrivals = sum(frames for _, frames in steps)
     singles = [step / frames for step, frames in steps if math.isfinite(step)]
     if not singles or min(singles) <= 0.0:  # the stamps are coarser than the steps
-        return arrived
-    usual = float(np.median(singles))
+        return arrivals
+    usual_step = float(np.median(singles))
     # A step over missing frames is more than 1.7 usual ones; shorter ones are uneven.
-    return arrived + sum(max(0, int(single / usual + 0.3) - 1) for single in singles)
+    return arrivals + sum(max(0, int(single / usual_step + 0.3) - 1) for single in singles)
 
 
 class SenderClock:
@@ -259,33 +259,33 @@ class SenderClock:
     def restart(self) -> None:
         """Forgets all frames, as for another sender or a clock that was set."""
         self.offset, self.drift, self.growth = math.inf, 0.0, 0.0
-        self._arrived, self._stamp = math.nan, -math.inf
+        self._arrival, self._stamp = math.nan, -math.inf
         self._blocks: deque[_Block] = deque(maxlen=_BLOCKS)
-        self._usual = 0
+        self._most_frames = 0
         self._fastest, self._slowest = math.inf, -math.inf
         self._steps: list[tuple[float, int]] = []  # of the stamps, s, and the frames in each
         self._begin_block(math.nan)
 
-    def lateness(self, arrived: float, stamp: float, frames: int = 1) -> float:
+    def lateness(self, arrival: float, stamp: float, frames: int = 1) -> float:
         """Returns how much longer a frame took than the fastest one, s.
 
         Args:
-            arrived: when it arrived, s, on this machine's clock.
+            arrival: when it arrived, s, on this machine's clock.
             stamp: when it was measured, s, on the sender's clock.
             frames: number of frames that arrived since the last call, this one included.
         """
         if stamp < self._stamp:
             self.restart()
         if math.isnan(self._began):
-            self._begin_block(arrived)
-        elif arrived - self._began >= _BLOCK_S:
-            self._end_block(arrived)
+            self._begin_block(arrival)
+        elif arrival - self._began >= _BLOCK_S:
+            self._end_block(arrival)
         if math.isfinite(self.offset):
-            self.offset += max(self.drift, _ORDINARY_DRIFT) * (arrived - self._arrived)
-        delay = arrived - stamp
+            self.offset += max(self.drift, _ORDINARY_DRIFT) * (arrival - self._arrival)
+        delay = arrival - stamp
         self.offset = min(self.offset, delay)
         self._steps.append((stamp - self._stamp, frames))
-        self._arrived, self._stamp = arrived, stamp
+        self._arrival, self._stamp = arrival, stamp
         self._fastest, self._slowest = min(self._fastest, delay), max(self._slowest, delay)
         return delay - self.offset
 
@@ -299,21 +299,21 @@ class SenderClock:
             self._blocks.clear()
         else:
             spread = max(0.0, self._slowest - self._fastest)
-            arrived = sum(frames for _, frames in self._steps)
-            self._blocks.append(_Block(self._fastest, spread, arrived, _sent(self._steps), self.offset))
+            arrivals = sum(frames for _, frames in self._steps)
+            self._blocks.append(_Block(self._fastest, spread, arrivals, _sent(self._steps), self.offset))
         self._begin_block(time if pause else self._began + _BLOCK_S)
         self.drift = self.growth = 0.0
         if len(self._blocks) < _BLOCKS:
             return
         frames = sum(block.frames for block in self._blocks)
-        self._usual = max(self._usual, frames)
+        self._most_frames = max(self._most_frames, frames)
         growth = float(np.median(np.diff([block.fastest for block in self._blocks])))
         self.growth = drift = growth / _BLOCK_S
         # While a queue grows by `drift`, that share of the frames is still under way. One frame may fall
         # outside of the blocks, or as many as come in a burst, or are lost in a row at either end.
         burst = min(_BURST_S, float(np.median([block.spread for block in self._blocks])))
-        lost = frames / max(1, sum(block.arrived for block in self._blocks)) - 1.0
-        outside = 1.0 + burst * frames / (_BLOCKS * _BLOCK_S) + 4.0 * lost
-        if 0.0 < drift <= _MAX_DRIFT and frames >= self._usual * (1.0 - 0.25 * drift) - outside:
+        lost_share = frames / max(1, sum(block.arrivals for block in self._blocks)) - 1.0
+        tolerance = 1.0 + burst * frames / (_BLOCKS * _BLOCK_S) + 4.0 * lost_share
+        if 0.0 < drift <= _MAX_DRIFT and frames >= self._most_frames * (1.0 - 0.25 * drift) - tolerance:
             self.drift = drift
             self.offset = max(self.offset, self._blocks[0].offset + (_BLOCKS - 1) * growth)

@@ -78,11 +78,11 @@ def decode_state(message: bytes) -> JointState:
     return decode_json(_STATE, message, "joint state")
 
 
-Sent = TypeVar("Sent", JointTargets, JointState)
-Received = TypeVar("Received", JointTargets, JointState)
+Outgoing = TypeVar("Outgoing", JointTargets, JointState)
+Incoming = TypeVar("Incoming", JointTargets, JointState)
 
 
-class Bus(Generic[Sent, Received]):
+class Bus(Generic[Outgoing, Incoming]):
     """One end of a connection between a program and a robot's driver.
 
     Attributes:
@@ -95,13 +95,13 @@ class Bus(Generic[Sent, Received]):
     def __init__(self) -> None:
         self.refused, self.last_refusal = 0, ""
 
-    def send(self, message: Sent) -> None:
+    def send(self, message: Outgoing) -> None:
         """Sends a message to the other end; without one, it is dropped."""
         raise NotImplementedError
 
-    def fetch(self) -> list[Received]:
+    def fetch(self) -> list[Incoming]:
         """Returns the usable messages since the last call, oldest first; does not wait."""
-        messages: list[Received] = []
+        messages: list[Incoming] = []
         for decode, data in self._arrivals():
             try:
                 messages.append(decode(data))
@@ -112,27 +112,27 @@ class Bus(Generic[Sent, Received]):
     def close(self) -> None:
         """Closes the connection."""
 
-    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Received], bytes]]:
+    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Incoming], bytes]]:
         """Returns the bytes of the messages since the last call, each with its decoder."""
         raise NotImplementedError
 
 
-class ZmqBus(Bus[Sent, Received]):
+class ZmqBus(Bus[Outgoing, Incoming]):
     """JSON over a pair of ZeroMQ sockets; see `open_zmq_bus` and `open_driver_bus`."""
 
-    def __init__(self, sender: ZmqSender, receiver: ZmqReceiver, decode: Callable[[bytes], Received]):
+    def __init__(self, sender: ZmqSender, receiver: ZmqReceiver, decode: Callable[[bytes], Incoming]):
         super().__init__()
         self._sender, self._receiver = sender, receiver
-        self._decode: Callable[[bytes], Received] = decode
+        self._decode: Callable[[bytes], Incoming] = decode
 
-    def send(self, message: Sent) -> None:
+    def send(self, message: Outgoing) -> None:
         self._sender.send(encode(message))
 
     def close(self) -> None:
         self._sender.close()
         self._receiver.close()
 
-    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Received], bytes]]:
+    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Incoming], bytes]]:
         return [(self._decode, data) for data in self._receiver.drain()]
 
 

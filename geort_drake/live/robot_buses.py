@@ -23,10 +23,10 @@ from geort_drake.errors import HandError, LiveError
 from geort_drake.hands.description import HandDescription
 from geort_drake.live.joint_messages import (
     Bus,
+    Incoming,
     JointState,
     JointTargets,
-    Received,
-    Sent,
+    Outgoing,
     open_driver_bus,
     open_zmq_bus,
 )
@@ -140,7 +140,7 @@ PANDA = LcmDevice(
 _DEVICES = (ALLEGRO, PANDA)
 
 
-class LcmBus(Bus[Sent, Received]):
+class LcmBus(Bus[Outgoing, Incoming]):
     """Drake's messages for all devices on an LCM bus.
 
     Args:
@@ -154,31 +154,31 @@ class LcmBus(Bus[Sent, Received]):
     def __init__(
         self,
         url: str,
-        sends: tuple[str, Callable[[LcmDevice, Sent], bytes]],
-        receives: tuple[str, Callable[[LcmDevice, bytes], Received]],
+        sends: tuple[str, Callable[[LcmDevice, Outgoing], bytes]],
+        receives: tuple[str, Callable[[LcmDevice, bytes], Incoming]],
     ):
         super().__init__()
         self._lcm = DrakeLcm(url)
         self._ending: str = sends[0]
-        self._encode: Callable[[LcmDevice, Sent], bytes] = sends[1]
-        self._new: list[tuple[Callable[[bytes], Received], bytes]] = []
+        self._encode: Callable[[LcmDevice, Outgoing], bytes] = sends[1]
+        self._messages: list[tuple[Callable[[bytes], Incoming], bytes]] = []
         ending, decode = receives
         for device in _DEVICES:
-            decoder: Callable[[bytes], Received] = functools.partial(decode, device)
+            decoder: Callable[[bytes], Incoming] = functools.partial(decode, device)
             self._lcm.Subscribe(
                 f"{device.channel}_{ending}",
-                lambda message, decoder=decoder: self._new.append((decoder, message)),
+                lambda message, decoder=decoder: self._messages.append((decoder, message)),
             )
 
-    def send(self, message: Sent) -> None:
+    def send(self, message: Outgoing) -> None:
         for device in _DEVICES:
             self._lcm.Publish(f"{device.channel}_{self._ending}", self._encode(device, message))
 
-    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Received], bytes]]:
+    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Incoming], bytes]]:
         # LCM keeps only one message per channel, so this must be called often.
         self._lcm.HandleSubscriptions(0)
-        new, self._new = self._new, []
-        return new
+        messages, self._messages = self._messages, []
+        return messages
 
 
 def open_bus(address: str, description: HandDescription, driver: bool = False) -> Bus:

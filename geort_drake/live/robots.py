@@ -119,12 +119,14 @@ class JointServer(PythonSystem):
         output.SetFromVector(np.concatenate([q, np.zeros_like(q)]))
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        wanted: dict[str, float] = {}
+        positions: dict[str, float] = {}
         for targets in self.bus.fetch():
-            wanted |= dict(zip(targets.names, targets.position, strict=True))
+            positions |= dict(zip(targets.names, targets.position, strict=True))
         for group, index in zip(self._groups, self._commanded, strict=True):
             q = context.get_discrete_state(index).value()
-            q = np.array([wanted.get(name, float(old)) for name, old in zip(group.joints, q, strict=True)])
+            q = np.array(
+                [positions.get(name, float(q_old)) for name, q_old in zip(group.joints, q, strict=True)]
+            )
             discrete_state.get_mutable_vector(index).SetFromVector(np.clip(q, group.lower, group.upper))
         return EventStatus.Succeeded()
 

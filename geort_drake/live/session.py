@@ -116,16 +116,16 @@ def run_session(
     summary = summary or {"duration": 0.0, "states": {}, "late": 0}
     states = summary["states"]
     steady, last, notice = SteadyState(), "", ""
-    ended: float | None = None
+    end_time: float | None = None
 
     def go_on() -> bool:
-        nonlocal engaged, last, notice, ended
+        nonlocal engaged, last, notice, end_time
         time = root.get_time()
         if time > 0.0:
             require_robot()
-        if control is not None and (wanted := control.step(root, engaged)) != engaged:
-            engaged = wanted
-            loop.engage(root, engaged and ended is None)
+        if control is not None and (request := control.step(root, engaged)) != engaged:
+            engaged = request
+            loop.engage(root, engaged and end_time is None)
         state = loop.state(root)
         kind = state.partition(";")[0]  # without the reason of a refusal
         states[kind] = round(states.get(kind, 0.0) + STEP_S, 6)
@@ -135,10 +135,10 @@ def run_session(
         if loop.notice != notice:
             notice = loop.notice
             on_state(time, notice or "the glove's clock runs right again")
-        if ended is None and (stop() or time >= duration):
-            ended = time
+        if end_time is None and (stop() or time >= duration):
+            end_time = time
             loop.engage(root, False)
-        return ended is None or time < ended + HOLD_S
+        return end_time is None or time < end_time + HOLD_S
 
     summary["late"] += run_in_real_time(simulator, STEP_S, go_on)
     summary["duration"] += round(root.get_time(), 6)
@@ -185,31 +185,31 @@ def play(
         The number of frames sent.
     """
     start = clock()
-    sent = 0
+    count = 0
     for i, t in enumerate(recording.t - recording.t[:1]):
         if stop.wait(max(start + t - clock(), 0.0)):
             break
         p_HK = recording.p_HK[i] if recording.valid[i] else None
         X_WH = None if recording.X_WH is None else recording.X_WH[i]
         send(encode_frame(GloveFrame(recording.side, clock(), p_HK, X_WH)))
-        sent += 1
-    return sent
+        count += 1
+    return count
 
 
 @contextmanager
 def stopping() -> Iterator[threading.Event]:
     """Yields an event that Ctrl-C or SIGTERM sets; a second Ctrl-C interrupts as usual."""
     event = threading.Event()
-    before: dict[int, Any] = {}
+    handlers: dict[int, Any] = {}
 
     def stop(number: int, _frame: object) -> None:
         event.set()
-        signal.signal(number, before[number])
+        signal.signal(number, handlers[number])
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        before[number] = signal.signal(number, stop)
+        handlers[number] = signal.signal(number, stop)
     try:
         yield event
     finally:
-        for signum, handler in before.items():
+        for signum, handler in handlers.items():
             signal.signal(signum, handler)

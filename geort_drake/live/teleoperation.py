@@ -61,8 +61,8 @@ class DelayMeter(PythonSystem):
 
     def _sample(self, context: Context) -> EventStatus:
         sent, q = float(self._sent.Eval(context)[0]), self._command.Eval(context)[: self._n].copy()
-        changed = not np.array_equal(q, self._last_command)
-        if math.isfinite(sent) and sent != self._last_sent and changed:
+        is_new = not np.array_equal(q, self._last_command)
+        if math.isfinite(sent) and sent != self._last_sent and is_new:
             self._samples.append(self._clock() - sent)
         self._last_sent, self._last_command = sent, q
         return EventStatus.Succeeded()
@@ -228,6 +228,6 @@ def make_teleoperation(
             if recorder.HasInputPort(name):
                 builder.Connect(port, recorder.GetInputPort(name))
 
-    built = builder.Build()
-    built.set_name("teleoperation")
-    return Teleoperation(built, glove, stage, watchdog, correction, wrist_checks, meter)
+    diagram = builder.Build()
+    diagram.set_name("teleoperation")
+    return Teleoperation(diagram, glove, stage, watchdog, correction, wrist_checks, meter)

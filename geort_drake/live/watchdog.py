@@ -107,7 +107,7 @@ class Watchdog(PythonSystem):
         command = self._desired.Eval(context)
         target = command[:n]
         value = context.get_discrete_state(self._state).value()
-        q, v, before = value[:n], value[n : 2 * n], value[2 * n : 3 * n]
+        q, v, target_before = value[:n], value[n : 2 * n], value[2 * n : 3 * n]
         mode, lost_since, since = value[3 * n :].tolist()
         engaged = self._engaged.Eval(context)[0] >= 0.5
         lost = engaged and _is_lost(self._status.Eval(context).state)
@@ -132,9 +132,9 @@ class Watchdog(PythonSystem):
                 q, v = self._relaxed_limits.step(q, v, self._safe, self._safe, self._period)
             else:
                 share = min((time - since + self._period) / self._ease_time, 1.0)
-                met = np.array_equal(q, before)
-                q, v = self._limits.step(q, v, target, before, self._period, share)
-                if met and np.array_equal(q, target):
+                is_reached = np.array_equal(q, target_before)
+                q, v = self._limits.step(q, v, target, target_before, self._period, share)
+                if is_reached and np.array_equal(q, target):
                     mode, since = _PASSING, time
         discrete_state.get_mutable_vector(self._state).SetFromVector(
             np.concatenate([q, v, target, [mode, lost_since, since]])
@@ -147,8 +147,8 @@ class Watchdog(PythonSystem):
         output.SetFromVector(self._desired.Eval(context) if passing else value[: 2 * self._n])
 
     def _calc_following(self, context: Context, output: BasicVector) -> None:
-        followed = self._status.Eval(context).state in FOLLOWED
-        output.SetAtIndex(0, float(followed and self._engaged.Eval(context)[0] >= 0.5))
+        is_followed = self._status.Eval(context).state in FOLLOWED
+        output.SetAtIndex(0, float(is_followed and self._engaged.Eval(context)[0] >= 0.5))
 
     def _calc_state(self, context: Context, output: AbstractValue) -> None:
         mode = context.get_discrete_state(self._state).value()[3 * self._n]

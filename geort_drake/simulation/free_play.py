@@ -60,7 +60,7 @@ def after_play(retarget: Any, person: HumanHand) -> Any:
     )
 
 
-def keep_reached(plans: Sequence[Intended], play: FreePlay) -> tuple[Intended, bool]:
+def select_reachable(plans: Sequence[Intended], play: FreePlay) -> tuple[Intended, bool]:
     """Selects the first plan whose places the robot's fingertips have all reached, within its clearance.
 
     A fingertip has reached a place if its smallest distance from it is within the clearance.

@@ -15,7 +15,7 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
-from geort_drake.simulation.free_play import after_play, keep_reached, seen_fingertips
+from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario, dump_scenario, parse_scenario
@@ -119,7 +119,7 @@ class TrialBuilder:
             fingertips = seen_fingertips(adapted_map, self._hand, person, timing.latency)
             self._practice[key] = retarget, adapted_map, fingertips
         _, adapted_map, fingertips = self._practice[key]
-        goal, attainable = keep_reached(plans, fingertips)
+        goal, attainable = select_reachable(plans, fingertips)
         return Trial(scenario, adapted_map if timing.adapts_before else retarget, (person, goal), attainable)
 
 

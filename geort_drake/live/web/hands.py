@@ -198,13 +198,13 @@ class PointerHand:
         chosen = [FINGER_NAMES.index(name) for name in fingers]
         meeting = 0.5 * (tips[0] + tips[chosen].mean(axis=0))
         targets, weights = tips.copy(), np.zeros(5)
-        apart = tips[chosen].mean(axis=0) - tips[0]
-        apart *= _PAD_M / np.linalg.norm(apart)
-        targets[0], weights[0] = meeting - apart, 1.0
+        direction = tips[chosen].mean(axis=0) - tips[0]
+        direction *= _PAD_M / np.linalg.norm(direction)
+        targets[0], weights[0] = meeting - direction, 1.0
         for finger in chosen:
             # Fingers close side by side, each in its own plane.
             sideways = np.array([0.0, tips[finger, 1] - tips[chosen].mean(axis=0)[1], 0.0])
-            targets[finger], weights[finger] = meeting + apart + sideways, 1.0
+            targets[finger], weights[finger] = meeting + direction + sideways, 1.0
         return self._hand.solve_fingertips(targets, self._open, weights, iterations=40)
 
 

@@ -110,7 +110,7 @@ class OperatorStation:
         play: Callable[[], RecordedHand] | None = None,
     ):
         self.about, self._clock, self._play = about, clock, play
-        self._played: RecordedHand | None = None
+        self._recorded_play: RecordedHand | None = None
         self.commands: deque[Command] = deque(maxlen=_MAX_HANDS)
         self.operator: Operator | None = None
         self.received = self.refused = 0
@@ -134,11 +134,11 @@ class OperatorStation:
 
     def drain(self) -> list[bytes]:
         """Returns the hands since the last call as glove messages, oldest first."""
-        operator, played = self.operator, self._played
-        if operator is not None and operator.device == "recording" and played is not None:
+        operator, play = self.operator, self._recorded_play
+        if operator is not None and operator.device == "recording" and play is not None:
             now = self._clock()
             if now - operator.time >= _PLAY_S:
-                self._follow(operator, played.frame(now))
+                self._follow(operator, play.frame(now))
                 operator.time = now
         hands = []
         while self._hands:
@@ -149,7 +149,7 @@ class OperatorStation:
         """Replaces the robot. The operator must introduce the hand anew; it may be of the other side."""
         if self.operator is not None and not self.simulated_person:
             self._leave_controls()
-        self.about, self._played = about, None
+        self.about, self._recorded_play = about, None
 
     def join(self, person: int) -> dict[str, Any]:
         """Adds a connection, a spectator until its `hello`, and returns the first message to it."""
@@ -194,16 +194,16 @@ class OperatorStation:
         return self.operator is not None and self.operator.number == person
 
     def _greet(self, person: int, hello: Hello) -> dict[str, Any]:
-        wanted = hello.role == "operator"
+        wants_controls = hello.role == "operator"
         if self._is_operator(person):
             self._leave_controls()
-        if wanted and hello.device != "simulated" and hello.side != self.about.side:
+        if wants_controls and hello.device != "simulated" and hello.side != self.about.side:
             raise MismatchError(
                 f"this is a {hello.side} hand, but the robot's is a {self.about.side} one: use the other hand"
             )
-        if wanted and self.operator is None:
+        if wants_controls and self.operator is None:
             if hello.device == "recording" and self._play is not None:
-                self._played = self._played or self._play()
+                self._recorded_play = self._recorded_play or self._play()
             self.simulated_person = hello.device == "simulated"
             self.operator = Operator(person, hello.device, HandReader(hello.side, hello.hand_length))
         return self.welcome(person)

@@ -45,7 +45,7 @@ class _Connection:
         self._frame: bytes | None = None
         self._wake = asyncio.Event()
         self._refused_at = -_REFUSAL_S
-        self._allowed, self._counted_at, self._excess = _RATE_HZ, time.monotonic(), 0
+        self._tokens, self._counted_at, self._excess = _RATE_HZ, time.monotonic(), 0
 
     def answer(self, message: dict[str, Any]) -> None:
         self._texts.append(msgspec.json.encode(message).decode())
@@ -68,10 +68,10 @@ class _Connection:
             LiveError: too many messages exceeded the rate; the connection must end.
         """
         now = time.monotonic()
-        self._allowed = min(self._allowed + _RATE_HZ * (now - self._counted_at), _RATE_HZ)
+        self._tokens = min(self._tokens + _RATE_HZ * (now - self._counted_at), _RATE_HZ)
         self._counted_at = now
-        if self._allowed >= 1.0:
-            self._allowed -= 1.0
+        if self._tokens >= 1.0:
+            self._tokens -= 1.0
             return False
         self._excess += 1
         if self._excess > _MAX_EXCESS:
@@ -123,13 +123,13 @@ class WebServer:
         self.dropped = 0
         self._scene, self._meshes = b"{}", list[bytes]()
         self._connections: dict[int, _Connection] = {}
-        self._numbers, self._open = itertools.count(1), 0
-        ready: concurrent.futures.Future[int] = concurrent.futures.Future()
+        self._numbers, self._open_count = itertools.count(1), 0
+        port_future: concurrent.futures.Future[int] = concurrent.futures.Future()
         self._thread = threading.Thread(
-            target=lambda: asyncio.run(self._serve(host, port, ready)), name="web", daemon=True
+            target=lambda: asyncio.run(self._serve(host, port, port_future)), name="web", daemon=True
         )
         self._thread.start()
-        self.port = ready.result()
+        self.port = port_future.result()
 
     def show(self, scene: bytes, meshes: list[bytes]) -> None:
         """Replaces the scene and its meshes."""
@@ -159,7 +159,7 @@ class WebServer:
         self._loop.call_soon_threadsafe(self._stop.set)
         self._thread.join()
 
-    async def _serve(self, host: str, port: int, ready: "concurrent.futures.Future[int]") -> None:
+    async def _serve(self, host: str, port: int, port_future: "concurrent.futures.Future[int]") -> None:
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
         app = web.Application()
         app.on_response_prepare.append(_add_headers)
@@ -174,9 +174,9 @@ class WebServer:
             await web.TCPSite(runner, host, port, ssl_context=self._tls).start()
         except OSError as error:
             await runner.cleanup()
-            ready.set_exception(LiveError(f"cannot listen on {host}:{port}: {error.strerror}"))
+            port_future.set_exception(LiveError(f"cannot listen on {host}:{port}: {error.strerror}"))
             return
-        ready.set_result(runner.addresses[0][1])
+        port_future.set_result(runner.addresses[0][1])
         await self._stop.wait()
         for connection in list(self._connections.values()):
             await connection.socket.close(code=1001, message=b"the session has ended")
@@ -197,11 +197,11 @@ class WebServer:
     async def _talk(self, request: web.Request) -> web.StreamResponse:
         """Serves a WebSocket until it ends."""
         self._require_access(request)
-        self._open += 1
+        self._open_count += 1
         try:
             return await self._talk_with(request)
         finally:
-            self._open -= 1
+            self._open_count -= 1
 
     async def _talk_with(self, request: web.Request) -> web.WebSocketResponse:
         socket = web.WebSocketResponse(heartbeat=_HEARTBEAT_S, max_msg_size=MAX_BYTES, compress=False)
@@ -230,7 +230,7 @@ class WebServer:
         origin = request.headers.get("Origin")
         if origin is not None and origin != f"{'https' if self._tls else 'http'}://{request.host}":
             raise web.HTTPForbidden(text="this page comes from elsewhere")
-        if self._open >= _MAX_CONNECTIONS:
+        if self._open_count >= _MAX_CONNECTIONS:
             raise web.HTTPServiceUnavailable(text=f"there are {_MAX_CONNECTIONS} connections already")
 
     def _handle(self, connection: _Connection, data: str | bytes) -> None:

@@ -106,7 +106,7 @@ class WebTeleoperation:
         link, control = self.link, self.control
         loop = self._teleoperation(timeout)
         while True:
-            before = control.choice
+            choice = control.choice
             for _ in range(2):  # the first frees what keeps the rest of the last diagram alive
                 gc.collect()
             summary = run_session(
@@ -127,10 +127,10 @@ class WebTeleoperation:
                         loop = self._teleoperation(timeout)
                         break
                     self._watch(stop)
-                    before = control.choice
+                    choice = control.choice
                 except GeortError as error:
                     # Not every hand can do every task: returns to the last one.
-                    control.choice, control.note = before, str(error)
+                    control.choice, control.note = choice, str(error)
                     loop = self._teleoperation(timeout)
                     break
             else:
@@ -139,9 +139,9 @@ class WebTeleoperation:
     def _scenario(self) -> Scenario:
         """Returns the chosen scenario, with a new object placement in every session."""
         choice, about = self.control.choice, self.setup.about
-        wanted = choice.hand or about.hand, choice.mount or about.mount
-        if wanted != (about.hand, about.mount):
-            self.setup, self._builder = self.choose(*wanted), None
+        robot = choice.hand or about.hand, choice.mount or about.mount
+        if robot != (about.hand, about.mount):
+            self.setup, self._builder = self.choose(*robot), None
             self.server.introduce(self.setup.about)
         scenarios = self.setup.scenarios
         scenario = copy.deepcopy(scenarios.get(choice.task or "", next(iter(scenarios.values()))))

@@ -212,9 +212,9 @@ class Criteria:
         self, network: Network, hands: Hands
     ) -> tuple[torch.Tensor, dict[str, tuple[torch.Tensor, torch.Tensor]]]:
         """Returns the objective, and loss and figure of each constraint except collision, by name."""
-        one = torch.nn.functional.one_hot(hands.finger, hands.moved.shape[2])[..., None]
+        moved_finger = torch.nn.functional.one_hot(hands.finger, hands.moved.shape[2])[..., None]
         seen = hands.seen
-        parts = [seen, hands.moved + one * hands.d[:, :, None], hands.before]
+        parts = [seen, hands.moved + moved_finger * hands.d[:, :, None], hands.before]
         q = network(torch.cat(parts, 1), hands.shapes)
         tips = fingertips(self._kinematics, q)
         seen_tips, ahead, before = tips.split([part.shape[1] for part in parts], dim=1)
@@ -238,8 +238,8 @@ class Criteria:
     def _track(self, hands: Hands, answer: torch.Tensor) -> torch.Tensor:
         """Returns (G,) the mean of 1 − cosine over the recorded steps of each person."""
         step = hands.after - hands.before
-        length, (least, most) = step.norm(dim=-1), self._settings.step_range_m
-        weight = ((length > least) & (length < most)).float()
+        length, (shortest, longest) = step.norm(dim=-1), self._settings.step_range_m
+        weight = ((length > shortest) & (length < longest)).float()
         error = 1.0 - cosine_similarity(answer, step, dim=-1, eps=1e-7)
         return (error * weight).sum((1, 2)) / (weight.sum((1, 2)) + 1e-9)
 
@@ -257,14 +257,14 @@ class Criteria:
         gain = (
             0.5 * torch.log((finger_motion.square().sum(-1) + 1e-10) / hands.d.square().sum(-1)) - reference
         )
-        counted = torch.ones_like(gain)
+        weight = torch.ones_like(gain)
         if self._few_joints.any():
-            limited = self._few_joints[hands.finger]
-            gain = torch.where(limited, gain - torch.log(cosine.clamp(min=settings.least_cosine)), gain)
-            counted = (~limited | (cosine > settings.least_cosine)).float()
+            is_limited = self._few_joints[hands.finger]
+            gain = torch.where(is_limited, gain - torch.log(cosine.clamp(min=settings.least_cosine)), gain)
+            weight = (~is_limited | (cosine > settings.least_cosine)).float()
         low, high = settings.gain_band
         excess = torch.relu(low - gain) + torch.relu(gain - high)
-        return _mean(excess, counted), _mean(excess > 0, counted)
+        return _mean(excess, weight), _mean(excess > 0, weight)
 
     def _pinches(self, hands: Hands, tips: torch.Tensor) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
         settings, weight = self._settings, hands.pinched.float()
@@ -294,7 +294,7 @@ class NearCollisions:
 
     def __init__(self, gaps: CollisionGaps, settings: UniversalSettings, generator: torch.Generator):
         self._gaps, self._settings, self._generator = gaps, settings, generator
-        self.remembered: list[torch.Tensor] = []  # hands (M, F, 3), m, and their shapes (M, 4F), m
+        self.memory: list[torch.Tensor] = []  # hands (M, F, 3), m, and their shapes (M, 4F), m
 
     @torch.no_grad()
     def search(self, network: Network, hands: Hands) -> torch.Tensor:
@@ -302,25 +302,25 @@ class NearCollisions:
         settings, seen = self._settings, hands.seen
         margin, depth = settings.collision_margin_m, settings.collision_depth_m
         q = network(seen, hands.shapes)
-        least = self._gaps.least(q.flatten(0, 1), settings.collision_near_m)
-        near = least < margin + 0.5 * depth
+        gap = self._gaps.least(q.flatten(0, 1), settings.collision_near_m)
+        is_near = gap < margin + 0.5 * depth
         shapes = hands.shapes[:, None].expand(-1, seen.shape[1], -1)
-        new = [each.flatten(0, 1)[near] for each in (seen, shapes)]
-        if self.remembered:
-            new = [torch.cat(pair) for pair in zip(new, self.remembered, strict=True)]
-        self.remembered = [each[: settings.remembered_collisions] for each in new]
+        memory = [each.flatten(0, 1)[is_near] for each in (seen, shapes)]
+        if self.memory:
+            memory = [torch.cat(pair) for pair in zip(memory, self.memory, strict=True)]
+        self.memory = [each[: settings.remembered_collisions] for each in memory]
         first = hands.moved.shape[1]
-        recorded = least.reshape(len(q), -1)[:, first : first + hands.after.shape[1]]
-        return (recorded < -depth).float().mean()
+        recorded_gap = gap.reshape(len(q), -1)[:, first : first + hands.after.shape[1]]
+        return (recorded_gap < -depth).float().mean()
 
     def loss(self, network: Network) -> torch.Tensor | None:
         """Returns the mean depth beyond the margin; None while few hands are remembered."""
         settings = self._settings
         count = settings.drawn_collisions
-        if not self.remembered or len(self.remembered[0]) < count:
+        if not self.memory or len(self.memory[0]) < count:
             return None
-        chosen = torch.randint(len(self.remembered[0]), (count,), generator=self._generator)
-        hands, shapes = (each[chosen] for each in self.remembered)
+        chosen = torch.randint(len(self.memory[0]), (count,), generator=self._generator)
+        hands, shapes = (each[chosen] for each in self.memory)
         noise = torch.randn(hands.shape, generator=self._generator).to(hands.device)
         q = network((hands + settings.collision_jitter_m * noise)[:, None], shapes)[:, 0]
         row, pair, gap = self._gaps.near(q.detach(), settings.collision_near_m)

@@ -99,24 +99,24 @@ class TrainingPeople:
         other = self._hands[rows[..., None], other, torch.arange(fingers, device=self._device)]
         mixed = (self._uniform(G, s.moved, 1) < s.mixed) & ~self._one_hot(finger)
         moved = torch.where(mixed[..., None], other, moved)
-        least, most = s.step_m
+        shortest, longest = s.step_m
         d = torch.nn.functional.normalize(self._normal(G, s.moved, 3), dim=-1)
-        d = d * (least + (most - least) * self._uniform(G, s.moved, 1))
+        d = d * (shortest + (longest - shortest) * self._uniform(G, s.moved, 1))
         start = self._below(frames - max(s.step_lags), G, s.steps_per_person)
         lags = torch.tensor(s.step_lags, device=self._device)
         lag = lags[self._below(len(lags), G, s.steps_per_person)]
         before, after = self._hands[rows, start], self._hands[rows, start + lag]
-        recorded = self._chosen(self._pinching, people)
+        recorded = self._choose(self._pinching, people)
         synthetic, synthetic_rows = self._synthetic_pinches(people)
         pinching = torch.cat([self._hands[rows, recorded], synthetic], 1)
         chosen = torch.cat([recorded, synthetic_rows], 1)
         pair, distance = self._pair[rows, chosen], self._distance[rows, chosen]
         reach = torch.full_like(distance, s.pinch_reach_m)
         reach[:, : s.pinches] = PINCH_M
-        seen = [moved, after, pinching]
-        offset = self._offset(G, sum(part.shape[1] for part in seen))
+        groups = [moved, after, pinching]
+        offset = self._offset(G, sum(part.shape[1] for part in groups))
         offset[:, -2 * s.pinches : -s.pinches] = 0.0  # recorded pinches stay as they are
-        moved_offset, step_offset, pinch_offset = offset.split([part.shape[1] for part in seen], dim=1)
+        moved_offset, step_offset, pinch_offset = offset.split([part.shape[1] for part in groups], dim=1)
         # Synthetic pinches are displaced before their fingertips are brought together.
         pinch_offset = torch.where(self._in_pair(pair)[..., None], 0.0, pinch_offset)
         return Hands(
@@ -129,7 +129,7 @@ class TrainingPeople:
             pinching=pinching[..., :3] + pinch_offset,
             pinch_pair=pair,
             pinched=(distance < reach) & self.closable[pair],
-            directions=torch.cat(seen, 1)[..., 3:],
+            directions=torch.cat(groups, 1)[..., 3:],
         )
 
     def _synthetic_pinches(self, people: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -138,7 +138,7 @@ class TrainingPeople:
         Returns the hands, and the frames (G, ·) of the pairs.
         """
         s, rows, shape = self._settings, people[:, None], (len(people), self._settings.pinches)
-        chosen = self._chosen(self._near, people)
+        chosen = self._choose(self._near, people)
         hands, pair = self._hands[rows, chosen], self._pair[rows, chosen]
         first, second = torch.full_like(pair, self._thumb), self._others[pair]
         a, b = (of_finger(hands, finger) for finger in (first, second))
@@ -153,7 +153,7 @@ class TrainingPeople:
             hands = torch.where(self._one_hot(finger)[..., None], new, hands)
         return hands, chosen
 
-    def _chosen(self, candidates: Sequence[torch.Tensor], people: torch.Tensor) -> torch.Tensor:
+    def _choose(self, candidates: Sequence[torch.Tensor], people: torch.Tensor) -> torch.Tensor:
         """Draws frames (G, pinches) of each person's candidates, or of all if there are none."""
         count = self._settings.pinches
         rows = [
@@ -317,7 +317,7 @@ class Training:
             "optimiser": self._optimiser.state_dict(),
             "multipliers": self.multipliers.values,
             "figures": self.multipliers.figures,
-            "collisions": self.collisions.remembered,
+            "collisions": self.collisions.memory,
             "generator": self._generator.get_state(),
         }
         with atomic_path(path) as draft, open(draft, "wb") as file:
@@ -345,7 +345,7 @@ class Training:
         self._optimiser.load_state_dict(state["optimiser"])
         self.multipliers.values, self.multipliers.figures = state["multipliers"], state["figures"]
         self._collided = state["collided"]
-        self.collisions.remembered = state["collisions"]
+        self.collisions.memory = state["collisions"]
         self._generator.set_state(state["generator"].cpu())
 
 
@@ -393,12 +393,12 @@ def train_universal(
             training.start_from(start.arrays)
         if state is not None and state.is_file():
             training.restore(state)
-        saved = time.monotonic()
+        last_save = time.monotonic()
         while training.step < settings.steps:
             training.advance()
-            if state is not None and time.monotonic() - saved > SAVE_EVERY_S:
+            if state is not None and time.monotonic() - last_save > SAVE_EVERY_S:
                 training.save(state)
-                saved = time.monotonic()
+                last_save = time.monotonic()
             if report is not None and (
                 training.step % max(settings.steps // 100, 1) == 0 or training.step == settings.steps
             ):

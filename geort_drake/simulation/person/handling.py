@@ -263,8 +263,10 @@ def _to_place(m: Moment) -> RigidTransform:
 def _above_place(m: Moment) -> RigidTransform:
     motion, p_WO = _to_place(m), m.percept.X_WO.translation()
     p_OB_W = m.percept.X_WB.translation() - p_WO
-    above = p_WO + motion.translation() + [0, 0, m.settings.hover]
-    return RigidTransform(motion.rotation() @ m.percept.X_WB.rotation(), above + motion.rotation() @ p_OB_W)
+    p_WO_above = p_WO + motion.translation() + [0, 0, m.settings.hover]
+    return RigidTransform(
+        motion.rotation() @ m.percept.X_WB.rotation(), p_WO_above + motion.rotation() @ p_OB_W
+    )
 
 
 def carry(m: Moment) -> RigidTransform | None:
@@ -296,8 +298,8 @@ def _at_limit(m: Moment) -> bool:
 
 def _has_slipped(m: Moment) -> bool:
     """Whether the object is seen to have moved in the hand, or no finger feels it."""
-    felt = m.recall("contact")
-    if m.config.touch and felt is not None and felt.max() < m.config.touch_force:
+    contact = m.recall("contact")
+    if m.config.touch and contact is not None and contact.max() < m.config.touch_force:
         return True
     return bool(np.linalg.norm(m.memory.p_BO - m.recall("p_BO")) > m.config.lost_distance)
 
@@ -393,8 +395,8 @@ def is_down(m: Moment) -> str | None:
         return lost
     if m.memory.movement is None:
         return None
-    risen = m.percept.X_WB.rotation().matrix()[2] @ (m.memory.p_BO - m.recall("p_BO_carried"))
-    if not (m.wrist_rests or risen > 3 * m.config.visual_error):
+    rise = m.percept.X_WB.rotation().matrix()[2] @ (m.memory.p_BO - m.recall("p_BO_carried"))
+    if not (m.wrist_rests or rise > 3 * m.config.visual_error):
         return None
     # An object that is still above its place stands on something else, and is held where it has slid to.
     if _to_place(m).translation()[2] > -m.config.reach_tolerance:

@@ -29,20 +29,20 @@ class FingerPlanner:
         side: sign of y in B towards the index finger: 1 for a right hand, −1 for a left one.
 
     Args:
-        needed: names of the K fingers.
+        fingers: names of the K fingers.
         task: start of the error message for a hand that lacks one of them, such as "the keys need".
 
     Raises:
         ScenarioError: the hand lacks one of the fingers.
     """
 
-    def __init__(self, description: HandDescription, needed: Sequence[str], task: str):
-        require_fingers(description, needed, task)
+    def __init__(self, description: HandDescription, fingers: Sequence[str], task: str):
+        require_fingers(description, fingers, task)
         known = description.finger_names
         self.hand = Hand(description)
-        self.fingers = np.array([known.index(name) for name in needed])
+        self.fingers = np.array([known.index(name) for name in fingers])
         self.radius = np.array([description.fingers[index].tip_radius for index in self.fingers])
-        self.touches = np.isin(known, needed)
+        self.touches = np.isin(known, fingers)
         self.side = -1.0 if description.side == "left" else 1.0
         joints = [name for index in self.fingers for name in description.fingers[index].joints]
         self._columns = np.array([self.hand.joint_names.index(name) for name in joints])

@@ -141,15 +141,15 @@ class CapPlanner(FingerPlanner):
         """
         places = [np.array([x, self.side * y, z]) for x, y, z in itertools.product(_X, _Y, _Z)]
         plans: list[Plan] = []
-        for apart in _APART:
-            plans = plans or [plan for p_BC in places if (plan := self._plan(p_BC, apart)) is not None]
+        for angle in _APART:
+            plans = plans or [plan for p_BC in places if (plan := self._plan(p_BC, angle)) is not None]
         stroke = np.rad2deg(_MIN_STROKE)
         aim = f"turn a cap of {2000 * RADIUS:.0f} mm by {stroke:.0f}° with {', '.join(FINGERS)}"
         return self.best_first(plans, aim)
 
-    def _plan(self, p_BC: np.ndarray, apart: float) -> Plan | None:
+    def _plan(self, p_BC: np.ndarray, angle: float) -> Plan | None:
         hand = self.hand
-        angles = 0.5 * np.array([-np.pi, np.pi - apart, np.pi + apart])
+        angles = 0.5 * np.array([-np.pi, np.pi - angle, np.pi + angle])
         around = np.column_stack([np.zeros(3), self.side * np.cos(angles), np.sin(angles)])
         middle = CapGoal(
             finger_names=tuple(hand.finger_names),

@@ -162,19 +162,19 @@ def _plan(scenario: Scenario, description: HandDescription) -> list[Plan]:
 
     def plan_at(x: float, z: float) -> Plan | None:
         p_BK = np.array([[x, y + planner.side * offset, z] for offset in (PITCH, 0.0, -PITCH)])
-        above = p_BK - np.outer(planner.radius + HOVER, [1.0, 0.0, 0.0])
-        if (q_open := reach(above, hand.default_position)) is None:
+        p_BK_above = p_BK - np.outer(planner.radius + HOVER, [1.0, 0.0, 0.0])
+        if (q_open := reach(p_BK_above, hand.default_position)) is None:
             return None
         q_pressed = []
         for key in range(3):
-            target = above.copy()
+            target = p_BK_above.copy()
             target[key, 0] += HOVER + TRAVEL
             if (q := reach(target, q_open)) is None:
                 return None
             q_pressed.append(q)
         key_of = np.full(len(planner.touches), -1)
         key_of[planner.fingers] = np.arange(len(planner.fingers))
-        p_BF_open = planner.all_tips(above)
+        p_BF_open = planner.all_tips(p_BK_above)
         goal = KeysGoal(
             finger_names=tuple(hand.finger_names),
             touches=planner.touches,
