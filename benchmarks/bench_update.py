@@ -20,7 +20,7 @@ from untrained import FINGERS, add_form_option, untrained
 from geort_drake.console import run_main
 from geort_drake.hands.hand import Hand
 from geort_drake.people.synthetic.play import synthesize_play
-from geort_drake.retargeting.clouds import TrainedSpace
+from geort_drake.retargeting.clouds import trained_points
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     retarget = untrained(arguments.method)
     hands = synthesize_play(seed=0, duration_s=60.0, rate_hz=1 / PERIOD).p_HK.astype(float)
     keypoints = [FINGERS[name] for name in retarget.finger_names]
-    retarget.trained_space = TrainedSpace.of_recording(hands[:, keypoints], keypoints)
+    retarget.trained_points = trained_points(hands[:, keypoints])
     robot = Hand("allegro_right")
     start = dict(zip(retarget.joint_names, retarget(hands[0]), strict=True))
     limits = JointLimits(retarget.lower, retarget.upper)

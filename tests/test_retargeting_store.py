@@ -9,13 +9,13 @@ from faults.sound import TIPS, map_file, play, smooth_arrays
 from geort_drake import load_retargeter
 from geort_drake.errors import GeortError, MapError
 from geort_drake.retargeting import METHODS
-from geort_drake.retargeting.clouds import TrainedSpace
+from geort_drake.retargeting.clouds import trained_points
 from geort_drake.retargeting.mlp import MlpRetargeter
 from geort_drake.retargeting.store import shipped_maps
 
 
 def test_a_file_gives_the_map_back(tmp_path, allegro, rng):
-    """Same outputs, names and trained space after saving and loading; an earlier file is replaced."""
+    """Same outputs, names and trained points after saving and loading; an earlier file is replaced."""
     map_file(tmp_path, history=[{"step": 1}, {"step": 2}])
     path = map_file(tmp_path, metrics={"coverage": 0.5})
     p, loaded = rng.normal(0.05, 0.05, (50, 4, 3)), load_retargeter(path, allegro)
@@ -28,8 +28,8 @@ def test_a_file_gives_the_map_back(tmp_path, allegro, rng):
     assert loaded.info["metrics"] == {"coverage": 0.5} and loaded.info["history"] == [
         {"step": 0, "total": 1.0}
     ]
-    expected = TrainedSpace.of_recording(play().p_HK[:, list(TIPS)].astype(float), TIPS)
-    np.testing.assert_array_equal(loaded.trained_space.points, expected.points)
+    expected = trained_points(play().p_HK[:, list(TIPS)].astype(float))
+    np.testing.assert_array_equal(loaded.trained_points, expected)
     assert [entry.name for entry in tmp_path.iterdir()] == ["map.safetensors"]
 
 

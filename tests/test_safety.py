@@ -11,7 +11,7 @@ from loop_bench import PERIOD, ArmBench
 from pydrake.math import RigidTransform, RollPitchYaw
 from system_bench import Bench
 
-from geort_drake.retargeting.clouds import TrainedSpace
+from geort_drake.retargeting.clouds import trained_points
 from geort_drake.systems import retargeting_status
 from geort_drake.systems.joint_limits import JointLimits
 from geort_drake.systems.retargeting_system import EASING, LIMITED, OUTSIDE, SETTLING, TRACKING
@@ -108,9 +108,9 @@ def test_a_fault_is_named_and_holds_the_joints_which_then_ease_back(fault, state
 
 def test_a_foreign_hand_is_reported_and_the_persons_own_is_not():
     """Synthetic play of another seed is inside; the same hand 30 % larger is outside, and still followed."""
-    space = TrainedSpace.of_recording(PLAY.p_HK[:, list(TIPS)], TIPS)
+    points = trained_points(PLAY.p_HK[:, list(TIPS)])
     retarget = smooth_retargeter()
-    retarget.trained_space = space
+    retarget.trained_points = points
     bench = Bench(retarget, ease_at_start=False)
     *_, status = [bench.tick(keypoints) for keypoints in hands(60)][-1]
     assert status.state == TRACKING and status.distance < 0.01

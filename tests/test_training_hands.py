@@ -29,7 +29,7 @@ def test_a_map_stores_its_provenance(tmp_path, allegro, play):
     assert provenance["hands"] == {"allegro_right": allegro.digest}
     assert {"drake", "torch", "numpy", "geort_drake"} <= set(provenance["versions"])
     assert provenance["seconds"] > 0 and len(info["history"]) == 5
-    assert retarget.trained_space.distances(play.p_HK[100]).max() < 0.012
+    assert retarget.distances(play.p_HK[100]).max() < 0.012
 
 
 @pytest.fixture

@@ -12,24 +12,14 @@ from safetensors.numpy import save
 from geort_drake.errors import FrameError, GeortError, MapError, UnknownNameError
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import BASE_KEYPOINT, KEYPOINT_COUNT, MIDDLE_MCP, TIP_KEYPOINT, WRIST
-from geort_drake.retargeting.clouds import TrainedSpace
 
 MAX_REACH = 0.5  # m; no fingertip is farther from its wrist
 # Of files, see `geort_drake.retargeting.store`.
 FORMAT, HEADER, TRAINED_POINTS = 2, "geort_drake", "trained_points"
-_STEP = 1e-6  # m, of numerical derivatives
-# Among the 63 coordinates of a hand in H: those of the wrist, and x and y of the middle knuckle, are zero.
-_ZERO_IN_H = np.array([*range(3 * WRIST, 3 * WRIST + 3), 3 * MIDDLE_MCP, 3 * MIDDLE_MCP + 1])
+_STEP = 1e-6  # m, of numerical derivatives; their error is below 1e-6 rad/m
 _OFF_FRAME = 0.02  # m, more than by any rounding or noise
-# Signs of the other hand, as weights (63, 2) of the coordinates, with sums over 1: the little finger's
-# knuckle lies on the index finger's side; or the fingers' tips lie on average 50 mm behind the palm, where
-# only a left hand bends them (right ones were measured up to 30 mm behind it).
-_OTHER_HAND = np.zeros((3 * KEYPOINT_COUNT, 2))
-_OTHER_HAND[[3 * BASE_KEYPOINT[name] + 1 for name in ("index", "little")], 0] = (
-    -1 / _OFF_FRAME,
-    1 / _OFF_FRAME,
-)
-_OTHER_HAND[[3 * keypoint for name, keypoint in TIP_KEYPOINT.items() if name != "thumb"], 1] = -0.25 / 0.05
+_BEHIND_PALM = 0.05  # m; right hands' fingertips were measured up to 30 mm behind the palm on average
+_TIPS = [keypoint for name, keypoint in TIP_KEYPOINT.items() if name != "thumb"]
 
 # Maps fingertips or keypoints of one or many hands to joint angles; a `Retargeter`, or a user's own function.
 Retarget = Callable[[np.ndarray], np.ndarray]
@@ -46,7 +36,8 @@ class Retargeter(ABC):
         human_keypoints: (F,) numbers of the keypoints that are the fingertips.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
         robot_hands: names of the robot hands for which the map was made.
-        trained_space: places that the fingertips visited in training; None if they are unknown.
+        trained_points: (F, M, 3) thinned positions of each fingertip in training, m, from
+            `clouds.trained_points`; None if they are unknown.
         info: method, config, provenance, metrics and history of a trained map, in JSON types.
         arrays: the weights of a trained map.
     """
@@ -81,7 +72,7 @@ class Retargeter(ABC):
         self.human_keypoints = np.array(human_keypoints, dtype=int)
         self.lower, self.upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
         self.robot_hands: tuple[str, ...] = ()
-        self.trained_space: TrainedSpace | None = None
+        self.trained_points: np.ndarray | None = None
         self.info: dict[str, Any] = {}
         self.arrays: Mapping[str, np.ndarray] = arrays or {}
         if arrays is not None:
@@ -124,13 +115,32 @@ class Retargeter(ABC):
     def reset(self) -> None:  # noqa: B027 (most have nothing to forget)
         """Forgets earlier calls; only methods that optimise from frame to frame remember any."""
 
+    def distances(self, points: np.ndarray) -> np.ndarray:
+        """Computes distances (F,), m, of a hand's fingertips to the nearest positions in training.
+
+        A fingertip far from all of them is outside of the training. The converse does not hold: fingertips
+        near them may form a hand that was never seen. Thinning adds at most √3 voxels, and 2 mm on average.
+
+        Args:
+            points: fingertips (F, 3) or keypoints (21, 3), m.
+
+        Returns:
+            The distances; NaN if the positions are unknown.
+        """
+        p_HF = self.fingertips(points)
+        if self.trained_points is None:
+            return np.full(len(p_HF), np.nan)
+        return np.linalg.norm(self.trained_points - p_HF[:, None], axis=-1).min(axis=1)
+
     def jacobian(self, points: np.ndarray) -> np.ndarray:
-        """Computes ∂q/∂p_HF (n, F, 3), rad/m, of one hand (F, 3) or (21, 3), here by central differences.
+        """Computes ∂q/∂p_HF (n, F, 3), rad/m, of one hand (F, 3) or (21, 3), by central differences.
 
         Raises:
             ValueError: points are more than one hand.
         """
-        p_HF = self._one_hand(points)
+        p_HF = self.fingertips(points)
+        if p_HF.ndim != 2:
+            raise ValueError(f"jacobian takes one hand, ({len(self.finger_names)}, 3), not {p_HF.shape}")
         steps = _STEP * np.eye(p_HF.size).reshape(-1, *p_HF.shape)
         change = self._angles(p_HF + steps) - self._angles(p_HF - steps)
         return (change / (2.0 * _STEP)).T.reshape(-1, *p_HF.shape)
@@ -151,8 +161,8 @@ class Retargeter(ABC):
             name: np.ascontiguousarray(array, dtype=np.int64 if name == "columns" else np.float32)
             for name, array in self.arrays.items()
         }
-        if self.trained_space is not None:
-            arrays[TRAINED_POINTS] = self.trained_space.points
+        if self.trained_points is not None:
+            arrays[TRAINED_POINTS] = self.trained_points.astype(np.float32)
         header = {
             "format": FORMAT,
             "kind": self.kind,
@@ -196,21 +206,18 @@ class Retargeter(ABC):
             )
         return points
 
-    def _one_hand(self, points: np.ndarray) -> np.ndarray:
-        p_HF = self.fingertips(points)
-        if p_HF.ndim != 2:
-            raise ValueError(f"jacobian takes one hand, ({len(self.finger_names)}, 3), not {p_HF.shape}")
-        return p_HF
-
 
 def _require_wrist_frame(p_HK: np.ndarray) -> None:
     """Refuses whole hands (..., 21, 3), m, that are clearly not in H, or mirrored; NaN passes.
 
     `people.checks.require_wrist_frame_hand` finds more, but takes longer than a call.
     """
-    p = p_HK.reshape(-1, 3 * KEYPOINT_COUNT)
-    off = np.abs(p[:, _ZERO_IN_H]).max(initial=0.0)
-    if off > _OFF_FRAME or (p @ _OTHER_HAND).max(initial=0.0) > 1.0:
+    p = p_HK.reshape(-1, KEYPOINT_COUNT, 3)
+    # The wrist is at the origin, the middle knuckle on the z axis.
+    off = max(np.abs(p[:, WRIST]).max(initial=0.0), np.abs(p[:, MIDDLE_MCP, :2]).max(initial=0.0))
+    turned_around = p[:, BASE_KEYPOINT["little"], 1] - p[:, BASE_KEYPOINT["index"], 1] > _OFF_FRAME
+    bent_back = p[:, _TIPS, 0].mean(axis=1) < -_BEHIND_PALM  # where only a left hand bends them
+    if off > _OFF_FRAME or (turned_around | bent_back).any():
         what = f"are off by {1e3 * off:.0f} mm" if off > _OFF_FRAME else "are mirrored, as of a left hand"
         raise FrameError(
             "human points must be those of a right hand in the wrist frame H (origin at the wrist, z to the "
@@ -236,32 +243,40 @@ def keypoints_of(hand: Any) -> Sequence[int] | None:
     return hand.description.human_keypoints if hasattr(hand, "description") else None
 
 
-def width_of(arrays: Mapping[str, np.ndarray], name: str) -> int:
-    """Returns the length of an array's last axis; 1 if it is missing, which `require_arrays` reports."""
-    return np.atleast_1d(arrays.get(name, 0)).shape[-1]
+def shape_of(axes: str, sizes: Mapping[str, int]) -> tuple[int | str, ...]:
+    """Returns the shape of an array, given its axes such as "F 3 h"; a name that `sizes` lacks stays."""
+    return tuple(int(axis) if axis.isdigit() else sizes.get(axis, axis) for axis in axes.split())
 
 
 def require_arrays(
-    arrays: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]]
+    arrays: Mapping[str, np.ndarray], shapes: Mapping[str, str], sizes: Mapping[str, int]
 ) -> dict[str, np.ndarray]:
     """Returns the arrays that are named in `shapes`, in double precision.
+
+    Args:
+        arrays: arrays by name.
+        shapes: name → axes, see `shape_of`.
+        sizes: known lengths of named axes; the first array with another named axis determines its length.
 
     Raises:
         MapError: an array is missing, has another shape or no elements, or is not finite.
     """
     if missing := [name for name in shapes if name not in arrays]:
         raise MapError(f"weights: '{missing[0]}' is missing; there are {', '.join(sorted(arrays))}")
-    result = {}
-    for name, shape in shapes.items():
+    result, sizes = {}, dict(sizes)
+    for name, axes in shapes.items():
         value = np.asarray(arrays[name])
-        usable = value.size > 0 and value.shape == shape and value.dtype.kind in "fiu"
+        for axis, length in zip(shape_of(axes, sizes), value.shape, strict=False):
+            if isinstance(axis, str):
+                sizes[axis] = length
+        usable = value.size > 0 and value.shape == shape_of(axes, sizes) and value.dtype.kind in "fiu"
         if usable:
             with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
                 usable = bool(np.isfinite(value.astype(np.float32)).all())
         if not usable:
             raise MapError(
-                f"weights: '{name}' must be finite and of shape {shape}; it is of shape {value.shape} and "
-                f"type {value.dtype}"
+                f"weights: '{name}' must be finite and of shape {shape_of(axes, sizes)}; it is of shape "
+                f"{value.shape} and type {value.dtype}"
             )
         result[name] = value.astype(float)
     return result

@@ -22,8 +22,7 @@ from safetensors import safe_open
 from geort_drake.errors import MapError
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.resources import models_dir
-from geort_drake.retargeting.base import FORMAT, HEADER, TRAINED_POINTS, Retargeter
-from geort_drake.retargeting.clouds import TrainedSpace
+from geort_drake.retargeting.base import FORMAT, HEADER, TRAINED_POINTS, Retargeter, require_arrays
 from geort_drake.retargeting.mlp import MlpRetargeter
 from geort_drake.retargeting.universal import UniversalRetargeter
 
@@ -53,12 +52,13 @@ def load_retargeter(source: str | os.PathLike, hand: Any = None) -> Retargeter:
     try:
         with safe_open(path, "numpy") as file:
             arrays = {name: file.get_tensor(name) for name in file.keys()}
-        points = arrays.pop(TRAINED_POINTS, None)
+        points = {name: arrays.pop(name) for name in [TRAINED_POINTS] if name in arrays}
         names = header["finger_names"], header["joint_names"]
         limits = np.array(header["lower"]), np.array(header["upper"])
         retargeter = _KINDS[header["kind"]](*names, header["human_keypoints"], *limits, arrays)
-        if points is not None:
-            retargeter.trained_space = TrainedSpace(points, header["human_keypoints"])
+        if points:
+            axes, sizes = {TRAINED_POINTS: "F points 3"}, {"F": len(header["finger_names"])}
+            retargeter.trained_points = require_arrays(points, axes, sizes)[TRAINED_POINTS]
     except MapError as error:
         raise MapError(f"{path}: {error}") from error
     retargeter.robot_hands, retargeter.info = tuple(header["robot_hands"]), header["info"]

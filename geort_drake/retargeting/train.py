@@ -25,7 +25,7 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.resources import cache_dir
 from geort_drake.retargeting import DEFAULT_METHOD, find_method
 from geort_drake.retargeting.base import Retargeter
-from geort_drake.retargeting.clouds import TrainedSpace, voxel_thinned
+from geort_drake.retargeting.clouds import trained_points, voxel_thinned
 from geort_drake.retargeting.store import SUFFIX, load_retargeter
 from geort_drake.settings import check_names
 from geort_drake.versions import git_state, versions
@@ -103,7 +103,7 @@ def train_map(
             hand, p_HF, seed=seed, config=config, device=device, report=bars.losses("training")
         )
     retargeter.robot_hands = (hand.description.name,)
-    retargeter.trained_space = TrainedSpace.of_recording(p_HF, keypoints)
+    retargeter.trained_points = trained_points(p_HF)
     retargeter.info |= {
         "method": method,
         "config": {**dataclasses.asdict(config), "seed": seed, "device": device},

@@ -70,7 +70,7 @@ class RetargetingSystem(PythonSystem):
         desired_state (2n): joint positions (rad), then velocities (rad/s), in the model's actuator order.
         status (abstract RetargetingStatus): what was held or limited, and since when.
 
-    There is no direct feedthrough. The status `OUTSIDE` needs a retargeter with a `trained_space`.
+    There is no direct feedthrough. The status `OUTSIDE` needs a retargeter with `trained_points`.
 
     Attributes:
         joint_names: the model's actuated joints, in the order of the output.
@@ -133,7 +133,7 @@ class RetargetingSystem(PythonSystem):
             )
         self._to_plant = np.array([list(order).index(name) for name in self.joint_names])
         self._retarget = retarget
-        self._trained_space = getattr(retarget, "trained_space", None)
+        self._distances = getattr(retarget, "distances", None)
         for_person = getattr(retarget, "for_person", None)
         self._person_map = None if for_person is None else PersonMap(for_person)
         self._limits = limits or JointLimits.of_plant(plant, model, DEFAULT_SPEED)
@@ -302,8 +302,8 @@ class RetargetingSystem(PythonSystem):
         if not np.isfinite(q).all():
             memory["good_since"] = math.nan
             return HELD_NOT_FINITE, None
-        if self._trained_space is not None and now - memory["distance_at"] >= _DISTANCE_PERIOD - _ROUNDING:
-            memory["distance"], memory["distance_at"] = self._trained_space.distances(p_HK).max(), now
+        if self._distances is not None and now - memory["distance_at"] >= _DISTANCE_PERIOD - _ROUNDING:
+            memory["distance"], memory["distance_at"] = self._distances(p_HK).max(), now
         return None, np.clip(q[self._to_plant], self._limits.lower, self._limits.upper)
 
     def _limit(

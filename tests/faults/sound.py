@@ -7,7 +7,7 @@ from grasp_setup import allegro
 from shared import synthesized
 
 from geort_drake import Recording
-from geort_drake.retargeting.clouds import TrainedSpace
+from geort_drake.retargeting.clouds import trained_points
 from geort_drake.retargeting.mlp import MlpRetargeter
 
 TIPS = (4, 8, 12, 16)
@@ -43,12 +43,12 @@ def smooth_retargeter(gain: float = 1.0, tips: tuple = TIPS) -> MlpRetargeter:
 
 
 def map_file(folder: Path, name: str = "map.safetensors", **info) -> Path:
-    """Writes that map for the Allegro hand, with its trained space; `info` changes what is stored with it."""
+    """Writes that map for the Allegro hand with its trained points; `info` changes what is stored with it."""
     hand = allegro()
     names = hand.finger_names, hand.joint_names
     retargeter = MlpRetargeter(*names, TIPS, hand.lower, hand.upper, smooth_arrays())
     retargeter.robot_hands = (hand.description.name,)
-    retargeter.trained_space = TrainedSpace.of_recording(play().p_HK[:, list(TIPS)].astype(float), TIPS)
+    retargeter.trained_points = trained_points(play().p_HK[:, list(TIPS)].astype(float))
     retargeter.info = {
         "method": "geort",
         "config": {},

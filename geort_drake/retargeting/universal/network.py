@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from typing import cast
 
 import numpy as np
 import torch
@@ -10,8 +11,21 @@ from torch.nn.functional import silu
 
 from geort_drake.errors import TrainingError
 from geort_drake.hands.kinematics import HandKinematics
+from geort_drake.retargeting.base import shape_of
 from geort_drake.retargeting.kinematics import add_buffers
-from geort_drake.retargeting.universal.person import MAX_DEVIATION, PAIR_UNIT, thumb_and_others
+from geort_drake.retargeting.universal.person import (
+    MAX_DEVIATION,
+    PAIR_UNIT,
+    STATISTICS,
+    WEIGHTS,
+    sizes_of,
+    thumb_and_others,
+)
+
+# The other weights are zero at first.
+_RANDOM = {
+    "weight0", "weight1", "weight2", "residual_weight0", "residual_weight1", "shape_weight0", "shape_weight1",
+}  # fmt: skip
 
 
 class UniversalNetwork(nn.Module):
@@ -67,29 +81,16 @@ class UniversalNetwork(nn.Module):
             half_range=0.5 * (kinematics.upper - kinematics.lower),
         )
 
-        def normal(*shape: int) -> torch.Tensor:
-            return torch.randn(shape, generator=generator) / math.sqrt(shape[-2])
-
-        zeros, (h, r, m) = torch.zeros, widths
-        inputs = 3 * F + 3 * len(self._others)
-        # By the names of files, see `UniversalRetargeter`.
-        p = self.p = nn.ParameterDict()
-        p["weight0"], p["weight1"], p["weight2"] = normal(F, 3, h), normal(F, h, h), normal(F, h, k)
-        p["bias0"], p["bias1"], p["bias2"] = zeros(F, 1, h), zeros(F, 1, h), zeros(F, 1, k)
-        p["residual_weight0"], p["residual_weight1"] = normal(inputs, r), normal(r, r)
-        p["residual_weight2"] = zeros(r, F * k)
-        p["residual_bias0"], p["residual_bias1"], p["residual_bias2"] = (
-            zeros(1, r),
-            zeros(1, r),
-            zeros(1, F * k),
-        )
-        p["shape_weight0"], p["shape_weight1"] = normal(4 * F, m), normal(m, m)
-        p["shape_bias0"], p["shape_bias1"] = zeros(1, m), zeros(1, m)
-        # The affine map of the inputs; gain and offset of layers 0 and 1; gain and offset of the residual.
-        p["input_weight"], p["modulation_weight"] = zeros(m, 12 * F), zeros(4, F, m, h)
-        p["residual_modulation_weight"] = zeros(2, m, r)
-        p["input_bias"], p["modulation_bias"] = zeros(1, 12 * F), zeros(4, F, 1, h)
-        p["residual_modulation_bias"] = zeros(2, 1, r)
+        h, r, m = widths
+        sizes = sizes_of(F) | {"h": h, "k": k, "r": r, "m": m, "outputs": F * k}
+        self.p = nn.ParameterDict()
+        for name, axes in WEIGHTS.items():
+            shape = list(cast(tuple[int, ...], shape_of(axes, sizes)))
+            if "_bias" in name:  # in files, only the biases of fingers have an axis for the hands of a batch
+                shape.insert(-1, 1)
+            self.p[name] = torch.zeros(shape)
+            if name in _RANDOM:
+                self.p[name] = torch.randn(shape, generator=generator) / math.sqrt(shape[-2])
 
     def groups(self, weight_decay: float) -> list[dict]:
         """Returns parameter groups for an optimiser; parts that see combinations decay faster."""
@@ -154,10 +155,9 @@ class UniversalNetwork(nn.Module):
 
     def _tensors(self) -> dict[str, torch.Tensor]:
         """Returns views of the constants and weights, in the shapes of files."""
-        constants = ("shape_mean", "shape_deviation", "input_mean", "input_scale")
         # In files, only the biases of fingers have an axis for the hands of a batch.
         weights = {name: value.squeeze(-2) if "_bias" in name else value for name, value in self.p.items()}
-        return {name: getattr(self, name) for name in constants} | weights
+        return {name: getattr(self, name) for name in STATISTICS} | weights
 
 
 def relative_to_knuckles(p_HF: torch.Tensor, shapes: torch.Tensor) -> torch.Tensor:

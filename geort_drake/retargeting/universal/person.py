@@ -13,44 +13,33 @@ from geort_drake.errors import MapError
 from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.people.checks import good_frames, require_wrist_frame_hand
 from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
-from geort_drake.retargeting.base import Retargeter, require_arrays, width_of
-from geort_drake.retargeting.clouds import TrainedSpace
-from geort_drake.retargeting.mlp import MlpRetargeter, Shapes, finger_shapes, residual_shapes
+from geort_drake.retargeting.base import Retargeter, require_arrays
+from geort_drake.retargeting.clouds import trained_points
+from geort_drake.retargeting.mlp import FINGERS, RESIDUAL, MlpRetargeter
 from geort_drake.retargeting.numpy_kinematics import match_joints
 
 MEASURED_FRAMES = 30  # different good frames that measure a hand: 0.3 s of a glove, 1 s of a camera
 PAIR_UNIT = 0.05  # m; unit of the vectors between the thumb's tip and the others
 MAX_DEVIATION = 3.0  # standard deviations of the training's people to which a shape is clamped
+# Axes of the arrays in files, see `require_arrays`. The residual sees fingertips, and differences from the
+# thumb's. Layers of m units process the shape of the hand.
+WEIGHTS = {
+    **FINGERS, **RESIDUAL,
+    "shape_weight0": "shape m", "shape_weight1": "m m",
+    "shape_bias0": "m", "shape_bias1": "m",
+    # The affine map of the inputs; gain and offset of layers 0 and 1; gain and offset of the residual.
+    "input_weight": "m affine", "modulation_weight": "4 F m h", "residual_modulation_weight": "2 m r",
+    "input_bias": "affine", "modulation_bias": "4 F h", "residual_modulation_bias": "2 r",
+}  # fmt: skip
+STATISTICS = {
+    "shape_mean": "shape", "shape_deviation": "shape", "input_mean": "F 3", "input_scale": "F 3",
+}  # fmt: skip
 _ALONE = "for fingertips alone, call the map that `for_person` returns"
 
 
-def weight_shapes(arrays: Mapping[str, np.ndarray], F: int, n: int) -> Shapes:
-    """Returns the shapes of the arrays in files, for F fingers and n joints.
-
-    The residual sees fingertips, and differences from the thumb's. Layers of m units process the shape of the
-    hand.
-    """
-    fingers = finger_shapes(arrays, F, n)
-    h, outputs = fingers["weight1"][-1], F * fingers["bias2"][-1]
-    r, m = width_of(arrays, "residual_weight0"), width_of(arrays, "shape_weight0")
-    return {
-        **fingers,
-        **residual_shapes(3 * F + 3 * (F - 1), r, outputs),
-        "shape_mean": (4 * F,),
-        "shape_deviation": (4 * F,),
-        "shape_weight0": (4 * F, m),
-        "shape_bias0": (m,),
-        "shape_weight1": (m, m),
-        "shape_bias1": (m,),
-        "input_mean": (F, 3),
-        "input_scale": (F, 3),
-        "input_weight": (m, 12 * F),
-        "input_bias": (12 * F,),
-        "modulation_weight": (4, F, m, h),
-        "modulation_bias": (4, F, h),
-        "residual_modulation_weight": (2, m, r),
-        "residual_modulation_bias": (2, r),
-    }
+def sizes_of(F: int) -> dict[str, int]:
+    """Returns the lengths of the axes of `WEIGHTS` and `STATISTICS` that follow from F fingers."""
+    return {"F": F, "inputs": 3 * F + 3 * (F - 1), "shape": 4 * F, "affine": 12 * F}
 
 
 def hand_shape(p_HK: np.ndarray, finger_names: Sequence[str]) -> np.ndarray:
@@ -76,7 +65,7 @@ class UniversalRetargeter(Retargeter):
 
     A call takes whole hands, and measures the shape of the hand on them.
 
-    The weights have `weight_shapes`. One finger must be the thumb.
+    The weights are `WEIGHTS`, `STATISTICS` and `columns`. One finger must be the thumb.
     """
 
     kind = "universal"
@@ -88,8 +77,9 @@ class UniversalRetargeter(Retargeter):
         if "thumb" not in names:
             raise MapError(f"finger_names: 'thumb' is missing; there are {', '.join(names)}")
         self._thumb = names.index("thumb")
-        shapes = weight_shapes(arrays, len(names), len(self.joint_names))
-        self._weights = weights = dict(arrays) | require_arrays(arrays, shapes)
+        sizes = sizes_of(len(names)) | {"n": len(self.joint_names)}
+        shapes = WEIGHTS | STATISTICS | {"columns": "n"}
+        self._weights = weights = dict(arrays) | require_arrays(arrays, shapes, sizes)
         for name in ("shape_deviation", "input_scale"):
             if not (weights[name] > 0).all():
                 raise MapError(f"weights: '{name}' must be positive")
@@ -114,7 +104,7 @@ class UniversalRetargeter(Retargeter):
         """Returns the map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m; it never changes.
 
         `MEASURED_FRAMES` frames are enough; bad ones are left out, see `checks.good_frames`. The map's
-        `trained_space` contains the fingertips' positions in the others.
+        `trained_points` are the fingertips' positions in the others.
 
         Raises:
             ValueError: points have another shape.
@@ -122,8 +112,7 @@ class UniversalRetargeter(Retargeter):
         """
         p_HK = self._good_hands(p_HK)
         retargeter = self._folded(hand_shape(p_HK, self.finger_names))
-        p_HF = p_HK[:, self.human_keypoints]
-        retargeter.trained_space = TrainedSpace.of_recording(p_HF, self.human_keypoints.tolist())
+        retargeter.trained_points = trained_points(p_HK[:, self.human_keypoints])
         return retargeter
 
     def shape(self, p_HK: np.ndarray) -> np.ndarray:
