@@ -68,7 +68,10 @@ class CollisionGaps(torch.nn.Module):
         return R_BJ @ self.R_JS, p_BJ + (R_BJ @ self.p_JS[..., None])[..., 0]
 
     def near(self, q: torch.Tensor, margin: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Finds all pairs that may be closer than `margin`, m; returns rows of q, pairs, gaps (M,)."""
+        """Finds all pairs that may be closer than `margin`, m; returns rows of q, pairs, gaps (M,).
+
+        Only the gaps are differentiable.
+        """
         R, p = self.poses(q)
         a, b = self.pairs.T
         with torch.no_grad():
@@ -87,23 +90,6 @@ class CollisionGaps(torch.nn.Module):
                 least = torch.full((len(part),), margin, device=q.device)
                 result.append(least.scatter_reduce(0, row, gap, "amin"))
         return torch.cat(result)
-
-    def loss(
-        self, q: torch.Tensor, row: torch.Tensor, pair: torch.Tensor, margin: float, scale: float
-    ) -> torch.Tensor:
-        """Computes the mean over q (N, n) of the sum of max(0, margin − gap) / scale over the given pairs.
-
-        Args:
-            q: (N, n) joint angles, rad.
-            row, pair: (M,) rows of q and numbers of pairs, from `near`.
-            margin, scale: lengths, m.
-        """
-        # Only rows with near pairs need gradients.
-        rows, row = torch.unique(row, return_inverse=True)
-        if len(rows) == 0:
-            return 0.0 * q.sum()
-        gap = self._gaps(*self.poses(q[rows]), row, pair)
-        return torch.relu(margin - gap).sum() / (scale * len(q))
 
     def _box_gaps(
         self, R: torch.Tensor, p: torch.Tensor, row: torch.Tensor, pair: torch.Tensor

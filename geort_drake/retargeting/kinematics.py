@@ -5,14 +5,13 @@ finger. For the fingertips, each chain transforms its tip point from joint to jo
 joint costs one product of a constant 9×3 matrix with a vector.
 """
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from geort_drake.hands.kinematics import FingerChain, HandKinematics
+from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.numpy_kinematics import StackedChains
 
 
@@ -26,7 +25,7 @@ def fingertips(kinematics: HandKinematics, q: torch.Tensor) -> torch.Tensor:
         raise ValueError(f"q must end with {n} joint angles, it has shape {tuple(q.shape)}")
     key = q.dtype, q.device
     if key not in kinematics.constants:
-        kinematics.constants[key] = _Chains(kinematics.fingers, *key)
+        kinematics.constants[key] = _Chains(kinematics, *key)
     points = kinematics.constants[key].points(q.reshape(-1, n))
     return points.transpose(0, 1).reshape(*q.shape[:-1], len(kinematics.fingers), 3)
 
@@ -34,32 +33,26 @@ def fingertips(kinematics: HandKinematics, q: torch.Tensor) -> torch.Tensor:
 class _Chains:
     """Constants of all fingers in a batch; shorter fingers get fixed joints at their base."""
 
-    def __init__(self, fingers: Sequence[FingerChain], dtype: torch.dtype, device: torch.device):
-        R, p_PJ, K, p_tip, spare = StackedChains.of(fingers)
-        m, k = R.shape[1], max(len(finger.joint_indices) for finger in fingers)
-        coupling, indices = np.zeros((len(fingers), k, m)), np.zeros((len(fingers), k), dtype=int)
-        for row, finger in enumerate(fingers):
-            free = len(finger.joint_indices)
-            coupling[row, :free, spare[row] :] = finger.coupling.T
-            indices[row, :free] = finger.joint_indices
-        stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (F, m, 9, 3), see `StackedChains`
+    def __init__(self, kinematics: HandKinematics, dtype: torch.dtype, device: torch.device):
+        R, p_PJ, K, p_tip, indices, coupling = StackedChains.of(kinematics)
+        stacked = np.concatenate([R, R @ K, R @ K @ K], axis=-2)  # (F, k, 9, 3), see `StackedChains`
 
         def constant(array: np.ndarray) -> torch.Tensor:
             return torch.tensor(np.ascontiguousarray(array), dtype=dtype, device=device)
 
         self.matrices = constant(np.moveaxis(stacked, 1, 0))
         self.offsets = constant(np.moveaxis(p_PJ, 1, 0))
-        every_joint_free = m == k and (coupling == np.eye(k)).all()
-        self.coupling = None if every_joint_free else constant(coupling)
+        self.coupling = None if coupling is None else constant(coupling)
         self.p_tip = constant(p_tip)
-        self.indices = torch.tensor(indices.ravel(), device=device)
+        # The angle of a fixed joint has no effect.
+        self.indices = torch.tensor(np.maximum(indices.ravel(), 0), device=device)
 
     def points(self, q: torch.Tensor) -> torch.Tensor:
         """Computes fingertip points (F, N, 3) in B, m, at joint angles q (N, n), rad."""
         fingers = self.p_tip.shape[0]
-        angles = q.index_select(1, self.indices).reshape(len(q), fingers, -1).transpose(0, 1)
         if self.coupling is not None:
-            angles = torch.bmm(angles, self.coupling)
+            q = q @ self.coupling
+        angles = q.index_select(1, self.indices).reshape(len(q), fingers, -1).transpose(0, 1)
         return _Tips.apply(angles, self.matrices, self.offsets, self.p_tip)
 
 
@@ -120,16 +113,13 @@ class JointFrames(torch.nn.Module):
 
     def __init__(self, kinematics: HandKinematics):
         super().__init__()
-        free, coupling = kinematics.uncoupled()
-        R, p_PJ, K, _, spare = StackedChains.of(free.fingers)
-        add_buffers(self, turn=R, offset=p_PJ[..., 0], K=K, K2=K @ K, coupling=coupling.T)
-        self._has_followers = coupling.shape[0] > coupling.shape[1]
-        rows = [[0] * fixed + [*f.joint_indices] for f, fixed in zip(free.fingers, spare, strict=True)]
-        self._joints = [joint for row in rows for joint in row]
-        self.number = {-1: len(self._joints)}
-        for row, (finger, fixed) in enumerate(zip(free.fingers, spare, strict=True)):
-            first = row * R.shape[1] + fixed
-            self.number |= {joint: first + j for j, joint in enumerate(finger.joint_indices)}
+        R, p_PJ, K, _, indices, coupling = StackedChains.of(kinematics)
+        followers = {} if coupling is None else {"coupling": coupling}
+        add_buffers(self, turn=R, offset=p_PJ[..., 0], K=K, K2=K @ K, **followers)
+        self._has_followers = coupling is not None
+        self._joints = np.maximum(indices.ravel(), 0).tolist()  # the angle of a fixed joint has no effect
+        frames = enumerate(indices.ravel().tolist())
+        self.number = {joint: frame for frame, joint in frames if joint >= 0} | {-1: indices.size}
 
     def forward(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Returns R_BJ (N, M, 3, 3) and p_BJ (N, M, 3), m, of M frames at joint angles q (N, n), rad."""

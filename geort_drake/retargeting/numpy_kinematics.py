@@ -3,12 +3,11 @@
 This is the counterpart of `HandKinematics` for methods that optimise at run time without torch.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from geort_drake.hands.kinematics import FingerChain, HandKinematics
+from geort_drake.hands.kinematics import HandKinematics
 
 MIRROR_TOLERANCE_M = 1e-3
 
@@ -21,26 +20,31 @@ class StackedChains(NamedTuple):
         K: (F, k, 3, 3) with K x = a × x for the axis a of each joint; zero for a fixed one. By Rodrigues,
             R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K².
         p_tip: (F, 3, 1) fingertip points in the last joints' moving frames, m.
-        spare: number of fixed joints of each finger.
+        indices: (F, k) numbers of the joints among those of `HandKinematics.uncoupled()`; −1 for a fixed one.
+        coupling: (n, N) such that q @ coupling are the angles of these N joints; None without followers.
     """
 
     R_PJ: np.ndarray
     p_PJ: np.ndarray
     K: np.ndarray
     p_tip: np.ndarray
-    spare: list[int]
+    indices: np.ndarray
+    coupling: np.ndarray | None
 
     @classmethod
-    def of(cls, fingers: Sequence[FingerChain]) -> "StackedChains":
-        k = max(len(finger.axes) for finger in fingers)
-        X, K = np.tile(np.eye(4), (len(fingers), k, 1, 1)), np.zeros((len(fingers), k, 3, 3))
-        spare = [k - len(finger.axes) for finger in fingers]
-        for row, (finger, first) in enumerate(zip(fingers, spare, strict=True)):
+    def of(cls, kinematics: HandKinematics) -> "StackedChains":
+        free, coupling = kinematics.uncoupled()
+        F, k = len(free.fingers), max(len(finger.axes) for finger in free.fingers)
+        X, K, indices = np.tile(np.eye(4), (F, k, 1, 1)), np.zeros((F, k, 3, 3)), np.full((F, k), -1)
+        for row, finger in enumerate(free.fingers):
+            first = k - len(finger.axes)
             X[row, first:], (x, y, z) = finger.X_PJ, finger.axes.T
             K[row, first:, 0, 1], K[row, first:, 0, 2], K[row, first:, 1, 2] = -z, y, -x
+            indices[row, first:] = finger.joint_indices
         K -= np.swapaxes(K, -1, -2)
-        p_tip = np.stack([finger.p_tip for finger in fingers])[:, :, None]
-        return cls(X[..., :3, :3], X[..., :3, 3:], K, p_tip, spare)
+        p_tip = np.stack([finger.p_tip for finger in free.fingers])[:, :, None]
+        has_followers = len(coupling) > len(kinematics.joint_names)
+        return cls(X[..., :3, :3], X[..., :3, 3:], K, p_tip, indices, coupling.T if has_followers else None)
 
 
 class NumpyKinematics:
@@ -59,16 +63,9 @@ class NumpyKinematics:
         self.finger_names, self.joint_names = kinematics.finger_names, kinematics.joint_names
         self.lower, self.upper = kinematics.lower, kinematics.upper
         self.tip_radius, self.p_BW = kinematics.tip_radius, kinematics.p_BW
-        free, coupling = kinematics.uncoupled()
-        # Angles of all N joints, followers last, per q: (N, n); None without followers.
-        n = len(coupling)
-        self._coupling = coupling if n > len(self.joint_names) else None
-        self._R, self._offset, K, self._p_tip, spare = StackedChains.of(free.fingers)
+        self._R, self._offset, K, self._p_tip, self._indices, self._coupling = StackedChains.of(kinematics)
         self._RK = self._R @ K
         self._RKK = self._RK @ K
-        # Fixed joints read the unused angle n.
-        rows = zip(free.fingers, spare, strict=True)
-        self._indices = np.array([[n] * fixed + [*finger.joint_indices] for finger, fixed in rows])
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
         """Computes fingertip points p_BF (N, F, 3), m, at joint angles q (N, n), rad."""
@@ -77,9 +74,10 @@ class NumpyKinematics:
     def fingertips_and_jacobians(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Computes p_BF (N, F, 3), m, and ∂p_BF/∂q (N, F, 3, n), m/rad, at joint angles q (N, n), rad."""
         if self._coupling is not None:
-            q = q @ self._coupling.T
+            q = q @ self._coupling
         count, n = q.shape
         fingers, k = self._indices.shape
+        # Fixed joints, of index −1, read an unused angle.
         angles = np.concatenate([q, np.zeros((count, 1))], axis=1)[:, self._indices][..., None, None]
         sine, cosine = np.sin(angles), np.cos(angles)
         M = self._R + sine * self._RK + (1.0 - cosine) * self._RKK
@@ -96,7 +94,7 @@ class NumpyKinematics:
         full = np.zeros((count, fingers, n + 1, 3))
         full[:, np.arange(fingers)[:, None], self._indices] = np.swapaxes(J, -1, -2)
         J = np.swapaxes(full[:, :, :n], -1, -2)
-        return p[..., 0], J if self._coupling is None else J @ self._coupling
+        return p[..., 0], J if self._coupling is None else J @ self._coupling.T
 
 
 def match_joints(hand: HandKinematics, mirrored: HandKinematics) -> tuple[np.ndarray, np.ndarray] | None:
@@ -116,29 +114,24 @@ def match_joints(hand: HandKinematics, mirrored: HandKinematics) -> tuple[np.nda
     if mirrored.finger_names != hand.finger_names or len(mirrored.joint_names) != len(hand.joint_names):
         return None
     rows, signs = np.zeros(len(hand.joint_names), dtype=int), np.ones(len(hand.joint_names))
-    axes, others = (_axes_amid_limits(each) for each in (hand, mirrored))
+    models = NumpyKinematics(hand), NumpyKinematics(mirrored)
+    middles = (0.5 * (each.lower + each.upper) for each in models)
+    # Corresponding joints move the fingertips to the same or to opposite sides.
+    moves, others = (
+        each.fingertips_and_jacobians(q[None])[1].sum((0, 1)).T
+        for each, q in zip(models, middles, strict=True)
+    )
     for chain, other in zip(hand.fingers, mirrored.fingers, strict=True):
         joints, theirs = list(chain.joint_indices), list(other.joint_indices)
         if len(joints) != len(theirs):
             return None
         rows[theirs] = joints
-        signs[theirs] = np.where((axes[joints] * others[theirs]).sum(-1) < 0, -1.0, 1.0)
+        signs[theirs] = np.where((moves[joints] * others[theirs]).sum(-1) < 0, -1.0, 1.0)
     fractions = np.random.default_rng(0).uniform(size=(100, len(rows)))
     mirrored_fractions = np.where(signs > 0, fractions[:, rows], 1.0 - fractions[:, rows])
     tips, mirrored_tips = (
-        NumpyKinematics(each).fingertips(each.lower + part * (each.upper - each.lower))
-        for each, part in ((hand, fractions), (mirrored, mirrored_fractions))
+        each.fingertips(each.lower + part * (each.upper - each.lower))
+        for each, part in zip(models, (fractions, mirrored_fractions), strict=True)
     )
     far = np.linalg.norm(tips - mirrored_tips, axis=-1).max()
     return (rows, signs) if far <= MIRROR_TOLERANCE_M else None
-
-
-def _axes_amid_limits(hand: HandKinematics) -> np.ndarray:
-    """Returns the unit axes (n, 3) of the joints in B, with all joints in the middle of their ranges."""
-    chains, angles = hand.uncoupled()
-    X_BJ = chains.joint_poses((angles @ (0.5 * (hand.lower + hand.upper)))[None])[0]
-    axes = np.zeros((len(chains.joint_names), 3))
-    for finger in chains.fingers:
-        for joint, axis in zip(finger.joint_indices, finger.axes, strict=True):
-            axes[joint] = X_BJ[joint, :3, :3] @ axis
-    return axes[: len(hand.joint_names)]

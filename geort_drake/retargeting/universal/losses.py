@@ -323,10 +323,9 @@ class NearCollisions:
         hands, shapes = (each[chosen] for each in self.memory)
         noise = torch.randn(hands.shape, generator=self._generator).to(hands.device)
         q = network((hands + settings.collision_jitter_m * noise)[:, None], shapes)[:, 0]
-        row, pair, gap = self._gaps.near(q.detach(), settings.collision_near_m)
-        near = gap < settings.collision_near_m
-        margin = settings.collision_margin_m
-        return self._gaps.loss(q, row[near], pair[near], margin, settings.collision_scale_m)
+        _, _, gap = self._gaps.near(q, settings.collision_near_m)
+        depth = torch.relu(settings.collision_margin_m - gap[gap < settings.collision_near_m])
+        return depth.sum() / (settings.collision_scale_m * len(q))
 
 
 class Multipliers:
