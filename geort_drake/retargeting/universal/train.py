@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -254,6 +254,14 @@ class Training:
         decay = max(1.0 - settings.averaged_steps / settings.steps, 0.0)
         self._average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(decay**AVERAGE_EVERY))
         self._posture, self._collided = 1.0, torch.zeros((), device=device)
+        # What `save` keeps: states of these parts, and these attributes.
+        self._parts = {"network": self.network, "average": self._average, "optimiser": self._optimiser}
+        self._attributes: list[tuple[Any, str]] = [
+            *((self, name) for name in ("step", "seconds", "_posture", "_collided")),
+            (self.multipliers, "values"),
+            (self.multipliers, "figures"),
+            (self.collisions, "memory"),
+        ]
 
     def start_from(self, arrays: Mapping[str, np.ndarray]) -> None:
         """Sets the weights before the first step."""
@@ -308,17 +316,9 @@ class Training:
         """Writes the state, atomically."""
         state = {
             "key": self._key,
-            "step": self.step,
-            "seconds": self.seconds,
-            "posture": self._posture,
-            "collided": self._collided,
-            "network": self.network.state_dict(),
-            "average": self._average.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
-            "multipliers": self.multipliers.values,
-            "figures": self.multipliers.figures,
-            "collisions": self.collisions.memory,
             "generator": self._generator.get_state(),
+            "parts": {name: part.state_dict() for name, part in self._parts.items()},
+            "attributes": [getattr(owner, name) for owner, name in self._attributes],
         }
         with atomic_path(path) as draft, open(draft, "wb") as file:
             torch.save(state, file)
@@ -339,14 +339,11 @@ class Training:
                 f"{path}: the state of a training with other settings, people or hand; delete it, or use the "
                 "same settings"
             )
-        self.step, self.seconds, self._posture = state["step"], state["seconds"], state["posture"]
-        self.network.load_state_dict(state["network"])
-        self._average.load_state_dict(state["average"])
-        self._optimiser.load_state_dict(state["optimiser"])
-        self.multipliers.values, self.multipliers.figures = state["multipliers"], state["figures"]
-        self._collided = state["collided"]
-        self.collisions.memory = state["collisions"]
         self._generator.set_state(state["generator"].cpu())
+        for name, part in self._parts.items():
+            part.load_state_dict(state["parts"][name])
+        for (owner, name), value in zip(self._attributes, state["attributes"], strict=True):
+            setattr(owner, name, value)
 
 
 def train_universal(
