@@ -243,9 +243,9 @@ def keypoints_of(hand: Any) -> Sequence[int] | None:
     return hand.description.human_keypoints if hasattr(hand, "description") else None
 
 
-def shape_of(axes: str, sizes: Mapping[str, int]) -> tuple[int | str, ...]:
-    """Returns the shape of an array, given its axes such as "F 3 h"; a name that `sizes` lacks stays."""
-    return tuple(int(axis) if axis.isdigit() else sizes.get(axis, axis) for axis in axes.split())
+def shape_of(axes: str, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Returns the shape of an array, given its axes such as "F 3 h" and the lengths of the named ones."""
+    return tuple(int(axis) if axis.isdigit() else sizes[axis] for axis in axes.split())
 
 
 def require_arrays(
@@ -266,17 +266,17 @@ def require_arrays(
     result, sizes = {}, dict(sizes)
     for name, axes in shapes.items():
         value = np.asarray(arrays[name])
-        for axis, length in zip(shape_of(axes, sizes), value.shape, strict=False):
-            if isinstance(axis, str):
-                sizes[axis] = length
-        usable = value.size > 0 and value.shape == shape_of(axes, sizes) and value.dtype.kind in "fiu"
+        for axis, length in zip(axes.split(), (*value.shape, *[1] * len(axes)), strict=False):
+            sizes.setdefault(axis, length)
+        shape = shape_of(axes, sizes)
+        usable = value.size > 0 and value.shape == shape and value.dtype.kind in "fiu"
         if usable:
             with np.errstate(over="ignore"):  # products of numbers in single precision stay finite in double
                 usable = bool(np.isfinite(value.astype(np.float32)).all())
         if not usable:
             raise MapError(
-                f"weights: '{name}' must be finite and of shape {shape_of(axes, sizes)}; it is of shape "
-                f"{value.shape} and type {value.dtype}"
+                f"weights: '{name}' must be finite and of shape {shape}; it is of shape {value.shape} and "
+                f"type {value.dtype}"
             )
         result[name] = value.astype(float)
     return result

@@ -24,7 +24,7 @@ from geort_drake.retargeting.base import keypoints_of, kinematics_of
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.descent import Losses, Report, device_of, minimise, one_thread
 from geort_drake.retargeting.kinematics import add_buffers, fingertips
-from geort_drake.retargeting.mlp import MlpRetargeter
+from geort_drake.retargeting.mlp import MlpRetargeter, output_columns
 
 Tensor = torch.Tensor
 FORWARD_KINEMATICS = ("neural", "exact")
@@ -83,13 +83,7 @@ class RetargetingModel(nn.Module):
         super().__init__()
         widest = max(len(finger.joint_names) for finger in hand.fingers)
         self.mlps = FingerMlps(len(hand.fingers), (3, hidden, hidden, widest), generator)
-        # The number of each joint among the F · widest outputs.
-        column = {
-            joint: row * widest + k
-            for row, finger in enumerate(hand.fingers)
-            for k, joint in enumerate(finger.joint_indices)
-        }
-        self.columns = [column[joint] for joint in range(len(hand.joint_names))]
+        self.columns = output_columns(hand)
         add_buffers(
             self,
             mean=np.stack([cloud.mean(0) for cloud in clouds])[:, None],

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from geort_drake.errors import MapError
+from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.base import Retargeter, require_arrays, shape_of
 
 # Axes of the arrays in files, see `require_arrays`: F fingers with h hidden units and k outputs each, and a
@@ -17,6 +18,16 @@ RESIDUAL = {
     "residual_weight0": "inputs r", "residual_weight1": "r r", "residual_weight2": "r outputs",
     "residual_bias0": "r", "residual_bias1": "r", "residual_bias2": "outputs",
 }  # fmt: skip
+
+
+def output_columns(kinematics: HandKinematics) -> list[int]:
+    """Returns the number of each joint among the F·k outputs, some of which shorter fingers do not use."""
+    k = max(len(finger.joint_names) for finger in kinematics.fingers)
+    columns = [0] * len(kinematics.joint_names)
+    for row, finger in enumerate(kinematics.fingers):
+        for i, joint in enumerate(finger.joint_indices):
+            columns[joint] = row * k + i
+    return columns
 
 
 class MlpRetargeter(Retargeter):

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from typing import cast
 
 import numpy as np
 import torch
@@ -13,6 +12,7 @@ from geort_drake.errors import TrainingError
 from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.base import shape_of
 from geort_drake.retargeting.kinematics import add_buffers
+from geort_drake.retargeting.mlp import output_columns
 from geort_drake.retargeting.universal.person import (
     MAX_DEVIATION,
     PAIR_UNIT,
@@ -65,10 +65,7 @@ class UniversalNetwork(nn.Module):
         super().__init__()
         F = len(kinematics.fingers)
         k = max(len(finger.joint_names) for finger in kinematics.fingers)
-        self.columns = [0] * len(kinematics.joint_names)
-        for number, finger in enumerate(kinematics.fingers):
-            for i, joint in enumerate(finger.joint_indices):
-                self.columns[joint] = number * k + i
+        self.columns = output_columns(kinematics)
         self._thumb, self._others = thumb_and_others(kinematics.finger_names)
         x = relative_to_knuckles(p_HF, shapes).flatten(0, 1)
         add_buffers(
@@ -85,7 +82,7 @@ class UniversalNetwork(nn.Module):
         sizes = sizes_of(F) | {"h": h, "k": k, "r": r, "m": m, "outputs": F * k}
         self.p = nn.ParameterDict()
         for name, axes in WEIGHTS.items():
-            shape = list(cast(tuple[int, ...], shape_of(axes, sizes)))
+            shape = [*shape_of(axes, sizes)]
             if "_bias" in name:  # in files, only the biases of fingers have an axis for the hands of a batch
                 shape.insert(-1, 1)
             self.p[name] = torch.zeros(shape)

@@ -255,7 +255,11 @@ class Training:
         self._average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(decay**AVERAGE_EVERY))
         self._posture, self._collided = 1.0, torch.zeros((), device=device)
         # What `save` keeps: states of these parts, and these attributes.
-        self._parts = {"network": self.network, "average": self._average, "optimiser": self._optimiser}
+        self._parts: dict[str, Any] = {
+            "network": self.network,
+            "average": self._average,
+            "optimiser": self._optimiser,
+        }
         self._attributes: list[tuple[Any, str]] = [
             *((self, name) for name in ("step", "seconds", "_posture", "_collided")),
             (self.multipliers, "values"),
