@@ -228,8 +228,8 @@ def tasks_table() -> str:
     from geort_drake.simulation.tasks import find_task, task_names
 
     tasks = [find_task(name) for name in task_names()]
-    rows = [f"| `{task.name}` | {task.summary} | {', '.join(task.kinds)} |" for task in tasks]
-    return "\n".join(["| task | what the person does | kinds of people |", "|---|---|---|", *rows])
+    rows = [f"| `{task.name}` | {task.summary} |" for task in tasks]
+    return "\n".join(["| task | what the person does |", "|---|---|", *rows])
 
 
 def objects_table() -> str:

@@ -29,6 +29,7 @@ from geort_drake.benchmark.log import Row, TrialKey, TrialLog, read_rows
 from geort_drake.benchmark.workers import call_in_workers, simulate
 from geort_drake.console import console, progress_bar, run_main
 from geort_drake.hands.description import load_hand
+from geort_drake.simulation.person.engine import KINDS
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import Trial
 
@@ -53,7 +54,7 @@ def keys_of(tasks: Sequence[str], kinds: Sequence[str], seeds: int, scripted_see
     for seed in range(max(seeds, scripted_seeds)):
         for task in tasks:
             case = CASES.get(task) or find_task(task).cases()[0]
-            kind = find_task(task).kinds[0]
+            kind = next(iter(KINDS))
             if seed < scripted_seeds:
                 keys += [TrialKey(name, 0, task, kind, "", case, 0, seed) for name in ("scripted", "hold")]
             if seed < seeds:

@@ -341,11 +341,11 @@ def test_seeds_are_paired_across_methods(tmp_path):
         # one sample later. The arm moves without the method.
         first = round(scenario.operator.visual_delay / scenario.operator.period)
         assert not np.array_equal(glove.p_HK[first], glove.p_HK[0])
-        place = stage.plant.GetDefaultFloatingBaseBodyPose(stage.body).GetAsMatrix4()
-        geometry, *_ = stage.plant.GetCollisionGeometriesForBody(stage.body)
+        place = stage.plant.GetDefaultFloatingBaseBodyPose(stage.handled.body).GetAsMatrix4()
+        geometry, *_ = stage.plant.GetCollisionGeometriesForBody(stage.handled.body)
         properties = stage.scene_graph.model_inspector().GetProximityProperties(geometry)
         friction = properties.GetProperty("material", "coulomb_friction").static_friction()
-        seen.append((place, stage.mass_factor, friction, glove.p_HK[: first + 1], glove.X_WH))
+        seen.append((place, stage.handled.mass_factor, friction, glove.p_HK[: first + 1], glove.X_WH))
     for value, of_same_seed, of_other_seed in zip(*seen, strict=True):
         np.testing.assert_array_equal(value, of_same_seed)
         assert not np.array_equal(value, of_other_seed)

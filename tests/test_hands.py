@@ -221,7 +221,7 @@ def _seen(description: HandDescription, text: str = "{}"):
     scenario, builder = load_scenario(text=text), DiagramBuilder()
     scenario.object.name = "sphere"
     stage = stage_of(builder, scenario, description)
-    plant, thing, view = stage.plant, stage.body, builder.GetSubsystemByName("scene_view")
+    plant, thing, view = stage.plant, stage.handled.body, builder.GetSubsystemByName("scene_view")
     root = builder.Build().CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
     base = plant.GetFrameByName(description.base_frame, stage.hand)

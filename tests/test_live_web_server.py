@@ -208,7 +208,7 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     scenario = load_scenario()
     description = load_hand(scenario.hand)
     robot = SimulatedRobot(scenario, RobotModel(scenario, description))
-    plant, body = robot.stage.plant, robot.stage.body
+    plant, body = robot.stage.plant, robot.stage.handled.body
     inspector = robot.stage.scene_graph.model_inspector()
     scene = PageScene(plant, inspector, description)
     facts = json.loads(json.dumps(scene.description))

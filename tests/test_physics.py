@@ -26,7 +26,7 @@ def test_a_grasp_obeys_physics():
     """
     scenario = scenario_with("cylinder", "{task_settings: {hold_time: 0.5}}")
     parts = make_trial_diagram(scenario, centred_map(), human_with())
-    plant, thing = parts.plant, parts.stage.body.index()
+    plant, thing = parts.plant, parts.stage.handled.body.index()
     actuators = [plant.get_joint_actuator(index) for index in plant.GetJointActuatorIndices()]
     limits = np.array([actuator.effort_limit() for actuator in actuators])
     places = [actuator.joint().velocity_start() for actuator in actuators]

@@ -71,7 +71,7 @@ HAND = {"fingertips", "hand_pose", "object_pose"}
     ("task", "mirrored", "unmirrored"),
     [
         ("grasp", HAND, {"contact"}),
-        ("keys", HAND, {"positions", "cue", "contact"}),
+        ("keys", HAND, {"positions", "phase", "contact"}),
         ("cap", HAND | {"positions"}, {"contact"}),
         ("pick_place", HAND | {"place_pose"}, {"contact"}),
         ("peg", HAND | {"place_pose"}, {"contact"}),

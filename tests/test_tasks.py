@@ -350,7 +350,7 @@ def test_tasks_are_modules_and_say_what_is_wrong():
     with pytest.raises(UnknownNameError, match="grasp, keys"):
         find_task("juggle")
     for text, error, message in (
-        ("{kind: clumsy}", UnknownNameError, "kind of person for task keys"),
+        ("{kind: clumsy}", UnknownNameError, "kind of person"),
         ("{task_settings: {presses: -1}}", ScenarioError, "task_settings.presses"),
         ("{task_settings: {fingers: 3}}", ScenarioError, "task_settings has no 'fingers'"),
     ):

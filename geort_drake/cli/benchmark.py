@@ -162,7 +162,7 @@ class Benchmark(Command, ScenarioOptions):
         """
         from geort_drake import load_scenario
         from geort_drake.benchmark.run import Variant, vary
-        from geort_drake.console import warn
+        from geort_drake.simulation.person.engine import KINDS
         from geort_drake.simulation.scenario_files import check_scenario
         from geort_drake.simulation.tasks import find_task
 
@@ -173,17 +173,9 @@ class Benchmark(Command, ScenarioOptions):
             ]
         else:
             bases = [self.load_scenario()]
-        known_kinds = list(dict.fromkeys(kind for base in bases for kind in find_task(base.task).kinds))
-        for kind in self.kinds or ():
-            if kind not in known_kinds:
-                raise UnknownNameError("kind of person for these tasks", kind, known_kinds)
         scenarios: dict[Variant, Scenario] = {}
         for base in bases:
-            kinds = self.kinds or (known_kinds if self.tasks else [base.kind])
-            kinds = [kind for kind in kinds if kind in find_task(base.task).kinds]
-            if not kinds:
-                warn(f"left out: {base.task}, which has people of other kinds only")
-            for kind in kinds:
+            for kind in self.kinds or (KINDS if self.tasks else [base.kind]):
                 scenario = copy.deepcopy(base)
                 scenario.kind = kind
                 check_scenario(scenario)

@@ -25,7 +25,7 @@ from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import actuated_state
 from geort_drake.simulation.worn_glove import WornGlove
 from geort_drake.systems.glove import GloveRecorder, GloveReplay
-from geort_drake.systems.port_values import mirrored_pose
+from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR, mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
 
 if TYPE_CHECKING:
@@ -102,22 +102,19 @@ def make_trial_diagram(
         # The person starts with the hand oriented like the robot's. The tracker's frame is parallel to W and
         # has its origin at the wrist's initial position.
         X_WB_seen = mirrored_pose(X_WB_start) if in_mirror else X_WB_start
-        person, goal = human[0], human[1].mirrored() if in_mirror else human[1]
-        operator = source = builder.AddNamedSystem(
-            "operator",
-            SimulatedOperator(
-                person,
-                scenario.operator,
-                RigidTransform(X_WB_seen.rotation(), np.zeros(3)),
-                seed=int(rng.integers(2**31)),
-                inputs={name: perceived.port.size() for name, perceived in stage.percepts.items()},
-                person=lambda noise: task.person(scenario, person, goal, noise),
-            ),
-        )
-        for name, (port, mirror) in stage.percepts.items():
-            operator_inputs[name] = output = _delayed(builder, port, scenario)
-            if in_mirror and mirror is not None:
-                output = _mirrored(builder, name, output, mirror)
+        noise = np.random.default_rng(int(rng.integers(2**31)))
+        intended = human[1].mirrored() if in_mirror else human[1]
+        person = task.person(scenario, human[0], intended, noise)
+        X_WH_start = RigidTransform(X_WB_seen.rotation(), np.zeros(3))
+        sizes = {name: port.size() for name, port in stage.percepts.items()}
+        operator = source = builder.AddNamedSystem("operator", SimulatedOperator(person, X_WH_start, sizes))
+        signs = _mirror_signs(len(description.fingers)) | dict(task.mirror)
+        for name, port in stage.percepts.items():
+            operator_inputs[name] = output = _delayed(builder, name, port, scenario)
+            if in_mirror and name in signs:
+                mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs[name]))
+                builder.Connect(output, mirror.get_input_port())
+                output = mirror.get_output_port()
             builder.Connect(output, operator.GetInputPort(name))
     if scenario.glove.faulty:
         # A separate generator, so that placement and the person's noise do not depend on the faults.
@@ -170,7 +167,7 @@ def make_trial_diagram(
     )
 
 
-def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> OutputPort:
+def _delayed(builder: DiagramBuilder, name: str, port: OutputPort, scenario: Scenario) -> OutputPort:
     config = scenario.operator
     steps = round(config.visual_delay / config.period)
     if steps == 0:
@@ -178,14 +175,13 @@ def _delayed(builder: DiagramBuilder, port: OutputPort, scenario: Scenario) -> O
     # A system that samples the delay's output reads it before the delay's update at the same time, which
     # adds one period.
     delay = builder.AddNamedSystem(
-        f"{port.get_name()}_seen_late", DiscreteTimeDelay(config.period, steps - 1, port.size())
+        f"{name}_seen_late", DiscreteTimeDelay(config.period, steps - 1, port.size())
     )
     builder.Connect(port, delay.get_input_port())
     return delay.get_output_port()
 
 
-def _mirrored(builder: DiagramBuilder, name: str, port: OutputPort, signs: np.ndarray) -> OutputPort:
-    """Returns a port with the poses or points of `port`, mirrored."""
-    mirror = builder.AddNamedSystem(f"{name}_mirrored", Gain(signs))
-    builder.Connect(port, mirror.get_input_port())
-    return mirror.get_output_port()
+def _mirror_signs(num_fingers: int) -> dict[str, np.ndarray]:
+    """Returns name of a percept → signs that mirror its poses or points."""
+    poses = dict.fromkeys(("hand_pose", "object_pose", "place_pose"), POSE_MIRROR)
+    return {"fingertips": np.tile(POINT_MIRROR, num_fingers), **poses}

@@ -112,10 +112,12 @@ def add_trial_recorder(
     }  # fmt: skip
     for key, model in models.items():
         specs |= _joint_signals(plant, model, key, names[key], commanded[key], measured[key])
-    for key, (port, entries, unit) in stage.signals.items():
-        specs[key] = SignalSpec(port, entries, title=key, unit=unit, page=_FINGERS)
-    for name, (port, labels) in stage.states.items():
-        specs[name] = StateSpec(port, labels)
+    handled, judge = stage.handled, stage.judge
+    if handled.joints:
+        key, (entries, unit) = f"{scenario.task}/positions", handled.positions
+        positions = judge.GetOutputPort("positions")
+        specs[key] = SignalSpec(positions, entries, title=key, unit=unit, page=_FINGERS)
+    specs[scenario.task] = StateSpec(judge.GetOutputPort("phase"), handled.states)
     if operator_inputs:
         specs["operator"] = StateSpec(source.GetOutputPort("phase"), source.phases)
     links = dict(zip(fingers, parts.finger_links(), strict=True))
@@ -137,7 +139,8 @@ def add_trial_recorder(
         color=[(*color, 130) for color in colors],
         derive=lambda states: fingertips(states[:, :n]).reshape(len(states), -1),
     )
-    for body in stage.free_bodies:
+    free_bodies = [] if handled.mass_factor is None else [handled.body]
+    for body in free_bodies:
         specs["object/path"] = _path(plant, body)
     if operator_inputs:
         start = scenario.operator.visual_delay
@@ -157,7 +160,7 @@ def add_trial_recorder(
         period=scenario.recording_period,
         # Long arrows, so that the few newtons of a grasp are visible.
         contact=ContactSpec(groups=links, metres_per_newton=0.04, max_length=0.2),
-        close_ups=_close_ups(plant, description, stage.free_bodies, fingertips),
+        close_ups=_close_ups(plant, description, free_bodies, fingertips),
         # From the thumb's side, where nothing hides what the hand holds.
         view_from=(0.62, 0.62 if description.side == "left" else -0.62, 0.48),
         text=_text(scenario, properties, "unknown: the trial did not end"),

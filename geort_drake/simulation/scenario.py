@@ -67,7 +67,7 @@ class Scenario:
     # Name of the task, a module of geort_drake/simulation/tasks; and values for the task's own settings.
     task: str = "grasp"
     task_settings: dict[str, float] = dc.field(default_factory=dict)
-    # Kind of the simulated person, one of the task's `kinds`.
+    # Kind of the simulated person, one of the engine's `KINDS`.
     kind: str = "servo"
     # Seed of the object's placement, mass and friction, and of the person's noise.
     random_seed: int = 0

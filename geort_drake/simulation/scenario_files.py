@@ -13,6 +13,7 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
 from geort_drake.settings import check_fields, fault_of
+from geort_drake.simulation.person.engine import KINDS
 from geort_drake.simulation.scenario import ObjectConfig, Scenario, object_file
 from geort_drake.simulation.tasks import find_task
 from geort_drake.systems.corrections import load_policy
@@ -54,11 +55,11 @@ def check_scenario(scenario: Scenario) -> None:
 
     Raises:
         ScenarioError: a field is wrong; the message names it, the rule and the value.
-        UnknownNameError: there is no such object or task, or no such kind of person for the task.
+        UnknownNameError: there is no such object, task or kind of person.
     """
     task = find_task(scenario.task)
-    if scenario.kind not in task.kinds:
-        raise UnknownNameError(f"kind of person for task {task.name}", scenario.kind, task.kinds)
+    if scenario.kind not in KINDS:
+        raise UnknownNameError("kind of person", scenario.kind, KINDS)
     for rule, holds, names in _RULES:
         for name in names:
             value = attrgetter(name)(scenario)

@@ -22,11 +22,11 @@ from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.settings import require_numbers
-from geort_drake.simulation.person.engine import KINDS, Person, Phase
+from geort_drake.simulation.person.engine import Person, Phase
 from geort_drake.simulation.person.goal import Goal, Plan
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_robot, finalize, joint_state
-from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR, Immutable
+from geort_drake.systems.port_values import Immutable, pose_to_vector
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.scene_view import SceneView
 
@@ -74,6 +74,30 @@ class Outcome(Immutable):
 Judgement = Callable[[Outcome, Observation], Outcome]
 
 
+@dc.dataclass(frozen=True, eq=False)
+class Handled:
+    """What the hand handles, and how that is judged.
+
+    Attributes:
+        body: the body that the person sees and touches.
+        judgement: judges the task.
+        states: names of the states that `Outcome.phase` counts.
+        parts: other bodies that count as parts of the body.
+        joints: K joints whose positions and velocities are judged; and the names and unit of their positions.
+        mass_factor: factor on the mass of a free body, which falls; None if it is held in place.
+        X_WP: where the body belongs, which the person sees; None if it has no place.
+    """
+
+    body: RigidBody
+    judgement: Judgement
+    states: Sequence[str]
+    parts: Sequence[RigidBody] = ()
+    joints: Sequence[Joint] = ()
+    positions: tuple[Sequence[str], str] = ((), "")
+    mass_factor: float | None = None
+    X_WP: RigidTransform | None = None
+
+
 class Judge(PythonSystem):
     """Judges a task periodically, without delay or noise, and ends the simulation once it is decided.
 
@@ -88,27 +112,18 @@ class Judge(PythonSystem):
         outcome (abstract Outcome).
         phase (1): number of the task's present state.
         positions (K): positions of the object's joints; only if it has any.
-        others (n): see `shows`.
+        place_pose (7): X_WP, where the object belongs; only if it has a place.
 
     State (abstract): the outcome.
 
     Args:
-        judgement: the task's pure function.
-        num_fingers, num_links, num_joints: F, L and K.
-        shows: name → function from the outcome to the values of an output port, for what the task shows to
-            the person.
+        num_fingers, num_links: F and L.
     """
 
-    def __init__(
-        self,
-        judgement: Judgement,
-        num_fingers: int,
-        num_links: int,
-        num_joints: int = 0,
-        shows: Mapping[str, Callable[[Outcome], Sequence[float] | np.ndarray]] | None = None,
-    ):
+    def __init__(self, handled: Handled, num_fingers: int, num_links: int):
         super().__init__()
-        self._judgement = judgement
+        self._judgement = handled.judgement
+        num_joints, X_WP = len(handled.joints), handled.X_WP
         sizes = {"contact": num_fingers, "self_contact": 1, "object_pose": 7, "hand_pose": 7}
         sizes |= {"link_contact": num_links, "joints": 2 * num_joints}
         self._inputs = {name: self.DeclareVectorInputPort(name, size) for name, size in sizes.items() if size}
@@ -120,16 +135,9 @@ class Judge(PythonSystem):
             lambda context, output: output.set_value(self.outcome(context)),
             tickets,
         )
-        shows = {"phase": lambda outcome: [outcome.phase], **(shows or {})}
-        for name, values in shows.items():
-            self.DeclareVectorOutputPort(
-                name,
-                len(values(Outcome())),
-                lambda context, output, values=values: output.SetFromVector(
-                    np.array(values(self.outcome(context)), float)
-                ),
-                tickets,
-            )
+        self.DeclareVectorOutputPort(
+            "phase", 1, lambda context, output: output.SetAtIndex(0, self.outcome(context).phase), tickets
+        )
         if num_joints:
             joints = self._inputs["joints"]
             self.DeclareVectorOutputPort(
@@ -137,6 +145,11 @@ class Judge(PythonSystem):
                 num_joints,
                 lambda context, output: output.SetFromVector(joints.Eval(context)[:num_joints]),
                 {joints.ticket()},
+            )
+        if X_WP is not None:
+            place = pose_to_vector(X_WP)
+            self.DeclareVectorOutputPort(
+                "place_pose", 7, lambda _, output: output.SetFromVector(place), {self.nothing_ticket()}
             )
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._observe)
 
@@ -164,19 +177,6 @@ class Judge(PythonSystem):
         return EventStatus.Succeeded()
 
 
-class PerceivedPort(NamedTuple):
-    """A port that the person perceives with delay; `mirror` holds the signs that mirror its values."""
-
-    port: OutputPort
-    mirror: np.ndarray | None = None
-
-
-# For recordings: name → port with the number of a state, and the states' names; name → port, names of its
-# entries, and their unit.
-States = Mapping[str, tuple[OutputPort, Sequence[str]]]
-Signals = Mapping[str, tuple[OutputPort, Sequence[str], str]]
-
-
 class Site(NamedTuple):
     """Where a task adds what the hand handles: a plant with the robot that is not finalized.
 
@@ -198,69 +198,34 @@ class Site(NamedTuple):
 
 
 @dc.dataclass(frozen=True, eq=False)
-class Handled:
-    """What the hand handles, and how that is judged.
-
-    Attributes:
-        body: the body that the person sees and touches.
-        judgement: judges the task; see `Judge`.
-        states: names of the states that `Outcome.phase` counts.
-        parts: other bodies that count as parts of the body.
-        joints: joints for the judge's input port `joints`; and the names and unit of their positions.
-        mass_factor: factor on the mass of a free body, which falls; None if it is held in place.
-        shows: see `Judge`.
-    """
-
-    body: RigidBody
-    judgement: Judgement
-    states: Sequence[str]
-    parts: Sequence[RigidBody] = ()
-    joints: Sequence[Joint] = ()
-    positions: tuple[Sequence[str], str] = ((), "")
-    mass_factor: float | None = None
-    shows: Mapping[str, Callable[[Outcome], Sequence[float] | np.ndarray]] = dc.field(default_factory=dict)
-
-
-@dc.dataclass(frozen=True, eq=False)
 class Stage:
-    """The plant of a trial, with the robot and what it handles, and what a task adds to the diagram.
+    """The plant of a trial, with the robot and what it handles, and the judge.
 
     Attributes:
         arm, hand: models whose joints the plant's PD controllers drive.
-        body: the body that the hand handles.
         fixed_base: whether the arm keeps its position.
-        mass_factor: factor on the mass of a free body; None if it is held in place.
-        judge: judges the task.
         percepts: name of the person's input port → the port that it perceives.
-        states, signals: states and signals to record.
     """
 
     plant: MultibodyPlant
     scene_graph: SceneGraph
     arm: ModelInstanceIndex
     hand: ModelInstanceIndex
-    body: RigidBody
+    handled: Handled
     fixed_base: bool
-    mass_factor: float | None
     judge: Judge
-    percepts: Mapping[str, PerceivedPort]
-    states: States
-    signals: Signals = dc.field(default_factory=dict)
-
-    @property
-    def free_bodies(self) -> list[RigidBody]:
-        """Bodies whose path is recorded, and that are transparent in close-ups."""
-        return [] if self.mass_factor is None else [self.body]
+    percepts: Mapping[str, OutputPort]
 
     def initialize(self, root: Context) -> None:
         """Sets what only a context can hold: the locks of a fixed base's joints, and the object's mass."""
         context = self.plant.GetMyMutableContextFromRoot(root)
         for index in self.plant.GetJointIndices(self.arm) if self.fixed_base else ():
             self.plant.get_joint(index).Lock(context)
-        if self.mass_factor is not None:
-            M = self.body.CalcSpatialInertiaInBodyFrame(context)
-            scaled = SpatialInertia(self.mass_factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
-            self.body.SetSpatialInertiaInBodyFrame(context, scaled)
+        body, factor = self.handled.body, self.handled.mass_factor
+        if factor is not None:
+            M = body.CalcSpatialInertiaInBodyFrame(context)
+            scaled = SpatialInertia(factor * M.get_mass(), M.get_com(), M.get_unit_inertia())
+            body.SetSpatialInertiaInBodyFrame(context, scaled)
 
     def outcome(self, root: Context) -> Outcome:
         """Returns the outcome so far."""
@@ -268,8 +233,7 @@ class Stage:
 
     def phase(self, root: Context) -> str:
         """Returns the name of the task's present state."""
-        ((_, names),) = self.states.values()
-        return names[self.outcome(root).phase]
+        return self.handled.states[self.outcome(root).phase]
 
     def restart(self, root: Context) -> None:
         """Restarts the task at the present time, when the person is ready."""
@@ -291,10 +255,9 @@ class Task:
         percepts: ports of the judge that the person perceives besides those of the view.
         cases_of: returns the objects, one per trial; None for a task without a choice.
         settings: dataclass of positive numbers for the scenario's `task_settings`; None for a task without.
-        mirror: name of a percept → signs that mirror it for a left hand.
+        mirror: name of one of these → signs that mirror it for a left hand.
         placing: how the person places the object, if they do, with `hover` and `upright` of a `Transfer`.
         begins_straight: whether the person's fingers are straight at first, because bent ones would collide.
-        kinds: kinds of people who can do it.
     """
 
     name: str
@@ -309,7 +272,6 @@ class Task:
     mirror: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
     placing: Any = None
     begins_straight: bool = False
-    kinds: tuple[str, ...] = tuple(KINDS)
 
     def cases(self) -> list[str]:
         """Returns the cases of the task, one per trial, such as objects."""
@@ -399,40 +361,17 @@ class Task:
         if brake.size():  # the object's actuated joint is a brake
             zeros = builder.AddSystem(ConstantVectorSource(np.zeros(brake.size())))
             builder.Connect(zeros.get_output_port(), brake)
-        num_fingers, num_links = len(description.fingers), len(view.links)
-        judge = builder.AddNamedSystem(
-            "judge", Judge(handled.judgement, num_fingers, num_links, len(handled.joints), handled.shows)
-        )
+        judge = builder.AddNamedSystem("judge", Judge(handled, len(description.fingers), len(view.links)))
         for port in map(judge.get_input_port, range(judge.num_input_ports())):
             if view.HasOutputPort(port.get_name()):
                 builder.Connect(view.GetOutputPort(port.get_name()), port)
-        signals: Signals = {}
         if handled.joints:
             builder.Connect(joint_state(builder, plant, handled.joints), judge.GetInputPort("joints"))
-            signals = {f"{self.name}/positions": (judge.GetOutputPort("positions"), *handled.positions)}
-        mirror = {
-            "fingertips": np.tile(POINT_MIRROR, num_fingers),
-            **dict.fromkeys(("hand_pose", "object_pose", "place_pose"), POSE_MIRROR),
-            **self.mirror,
-        }
         percepts = {}
         for name in ("fingertips", "hand_pose", "object_pose", "contact", *self.percepts):
             system = view if view.HasOutputPort(name) else judge
-            percepts[name] = PerceivedPort(system.GetOutputPort(name), mirror.get(name))
-        states = {self.name: (judge.GetOutputPort("phase"), handled.states)}
-        return Stage(
-            plant=plant,
-            scene_graph=scene_graph,
-            arm=arm,
-            hand=hand,
-            body=body,
-            fixed_base=scenario.fixed_base,
-            mass_factor=handled.mass_factor,
-            judge=judge,
-            percepts=percepts,
-            states=states,
-            signals=signals,
-        )
+            percepts[name] = system.GetOutputPort(name)
+        return Stage(plant, scene_graph, arm, hand, handled, scenario.fixed_base, judge, percepts)
 
 
 @dc.dataclass(frozen=True)

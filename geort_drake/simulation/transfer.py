@@ -17,7 +17,7 @@ from geort_drake.simulation.person.handling import PLACE
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
 from geort_drake.simulation.world import add_placed_object
-from geort_drake.systems.port_values import pose_to_vector, vector_to_pose
+from geort_drake.systems.port_values import vector_to_pose
 
 # Part of the tasks' scenarios: the arm's posture above a bare table, and its mirror image for a left hand.
 ARM_POSTURE = """
@@ -139,14 +139,8 @@ class Transfer(NamedTuple):
         body, shape, mass_factor = add_placed_object(
             site.plant, site.scene_graph, site.scenario, site.description, site.rng
         )
-        place = pose_to_vector(X_WP)
-        return Handled(
-            body,
-            judgement(self.steps, X_WP, shape.lowest_point),
-            ["reach", *self.steps],
-            mass_factor=mass_factor,
-            shows={"place_pose": lambda outcome: place},
-        )
+        judge = judgement(self.steps, X_WP, shape.lowest_point)
+        return Handled(body, judge, ["reach", *self.steps], mass_factor=mass_factor, X_WP=X_WP)
 
     def task(self, **fields: Any) -> Task:
         """Returns a task with these further fields of `Task`."""

@@ -20,7 +20,7 @@ class ScriptedKeys(PythonSystem):
     """Moves a hand between the planned postures above and on the keys.
 
     Input ports:
-        cue (1): number of the key to press, from 1; 0 for none.
+        phase (1): number of the key to press, from 1; 0 for none.
     Output ports:
         desired_state (2n): joint positions and velocities in actuator order.
     """
@@ -30,7 +30,7 @@ class ScriptedKeys(PythonSystem):
         order = hand_order(stage, description)
         start = np.array([joint.default_positions()[0] for joint in actuated_joints(stage.plant, stage.hand)])
         postures = [start, plan.postures["open"][order], *(q[order] for q in plan.postures["pressed"])]
-        cue = self.DeclareVectorInputPort("cue", 1)
+        cue = self.DeclareVectorInputPort("phase", 1)
         # Start of the last movement (n), number of its target posture, and its start time.
         state = self.DeclareDiscreteState(np.array([*start, 0.0, 0.0]))
         n = len(start)

@@ -39,7 +39,7 @@ def run_script(
     script = builder.AddSystem(script_for(stage, description))
     for index in range(script.num_input_ports()):
         port = script.get_input_port(index)
-        builder.Connect(stage.percepts[port.get_name()].port, port)
+        builder.Connect(stage.percepts[port.get_name()], port)
     builder.Connect(script.GetOutputPort("desired_state"), plant.get_desired_state_input_port(hand))
     if script.HasOutputPort("arm_desired_state"):
         arm_target = script.GetOutputPort("arm_desired_state")

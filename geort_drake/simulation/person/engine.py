@@ -262,8 +262,8 @@ class Person:
         straight: bool = False,
     ):
         self.phases = tuple(phases)
-        self._hand, self._goal, self._kind = hand, goal, KINDS[kind]
-        self._config, self._settings, self._rng = config, settings, rng
+        self.hand, self.config, self.rng = hand, config, rng
+        self._goal, self._kind, self._settings = goal, KINDS[kind], settings
         self._straight = straight
         self._motion, self._solid = FingerMotion(hand), SolidHand(hand)
         self._numbers = {phase.name: number for number, phase in enumerate(phases)}
@@ -281,27 +281,27 @@ class Person:
     def start(self, X_WH: RigidTransform) -> Memory:
         """Returns the memory before the first decision: a relaxed hand at X_WH that does not move."""
         theta = self._first_posture()
-        p_HF, num_fingers, config = self._hand.fingertips(theta), len(self._finger_numbers), self._config
+        p_HF, num_fingers, config = self.hand.fingertips(theta), len(self._finger_numbers), self.config
         p_HF_open, goal, play = p_HF.copy(), self._goal, self._goal.play
         learned = LearnedMotion.unlearned(num_fingers, config)
         if play is not None and len(play.p_HF):
             # The hand opens as it did when the robot's fingertips were nearest to the goal.
             noise = np.sqrt(0.5) * motion_noise(config, np.inf)
-            p_BF = play.p_BF + self._rng.normal(0, noise, play.p_BF.shape)
+            p_BF = play.p_BF + self.rng.normal(0, noise, play.p_BF.shape)
             nearest = np.linalg.norm(p_BF - goal.p_BF_open, axis=-1).argmin(axis=0)
             for finger in np.flatnonzero(np.isfinite(goal.p_BF_open).all(axis=1)).tolist():
                 p_HF_open[self._finger_numbers[finger]] = play.p_HF[nearest[finger], finger]
             for follower in self._followers:
                 p_HF_open[follower] += p_HF_open[follower - 1] - p_HF[follower - 1]
             if self._kind.feedforward == "learned":
-                learned = learned_in_play(play, p_HF_open[self._finger_numbers], config, self._rng)
+                learned = learned_in_play(play, p_HF_open[self._finger_numbers], config, self.rng)
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
         farthest = np.linalg.norm(p_HF_open - p_HF, axis=1).max()
         return Memory(
             theta=theta,
             X_WH=X_WH,
             p_HF_past=(p_HF,) * max(round(config.visual_delay / config.period), 1),
-            sight=draw_errors(num_fingers, config, self._rng),
+            sight=draw_errors(num_fingers, config, self.rng),
             learned=learned,
             p_HF_rest=p_HF,
             p_HF_open=p_HF_open,
@@ -315,17 +315,17 @@ class Person:
         """Returns joint angles (20,), rad, of a relaxed hand; or of a straight one, with abducted thumb."""
         theta = self._motion.rest.reshape(5, 4)
         if self._straight:
-            theta[0] = self._hand.upper[0], self._hand.lower[1], 0.0, 0.0
+            theta[0] = self.hand.upper[0], self.hand.lower[1], 0.0, 0.0
             theta[1:, 1:] = 0.0
-        return self._solid.separate(np.clip(theta.ravel(), self._hand.lower, self._hand.upper))
+        return self._solid.separate(np.clip(theta.ravel(), self.hand.lower, self.hand.upper))
 
     # -- decisions
 
     def step(self, memory: Memory, t: float, scene: Percept) -> Memory:
         """Returns the memory after one decision at time t, s; does not change `memory`."""
-        config, rng = self._config, self._rng
+        config, rng = self.config, self.rng
         if memory.theta is not self._posture[0]:  # a hand that holds something keeps its posture
-            self._posture = memory.theta, self._hand.fingertips(memory.theta)
+            self._posture = memory.theta, self.hand.fingertips(memory.theta)
         past = (*memory.p_HF_past[1:], self._posture[1])
         memory = dc.replace(memory, p_HF_past=past, sight=later_errors(memory.sight, config, rng))
         percept = perceive(scene, memory.sight, config, rng)
@@ -350,7 +350,7 @@ class Person:
         """Returns the phase's fingertips, and judges the errors of the robot's."""
         memory, target = m.memory, self.phases[m.memory.phase].fingertips(m)
         if target is not None:
-            memory.error = averaged(memory.error, target - m.percept.p_BF, self._config)
+            memory.error = averaged(memory.error, target - m.percept.p_BF, self.config)
             if m.worst_error < memory.best_error - 0.001:
                 memory.best_error, memory.best_time = m.worst_error, m.t
         return target
@@ -366,15 +366,15 @@ class Person:
         memory.best_error, memory.best_time, memory.error = np.inf, m.t, None
         memory.movement, memory.movements = None, 0
         memory.reference = self._begin(m)
-        noise = self._config.motor_noise / np.sqrt(3)
-        memory.motor = np.eye(3) + self._rng.normal(0, noise, (3, 3))
+        noise = self.config.motor_noise / np.sqrt(3)
+        memory.motor = np.eye(3) + self.rng.normal(0, noise, (3, 3))
 
     def _attend(self, m: Moment) -> None:
         """Looks at the finger that acts, or at the one of those that still move longest not looked at."""
         memory = m.memory
         memory.looked_at = memory.looked_at.copy()
         memory.looked_at[memory.attended] = m.t
-        if m.t - memory.attended_since < self._config.attention_time:
+        if m.t - memory.attended_since < self.config.attention_time:
             return
         candidates = m.recall("acting", self._touching[~m.feels[self._touching]])
         others = candidates[candidates != self._thumb]
@@ -385,7 +385,7 @@ class Person:
 
     def _compare(self, m: Moment) -> None:
         """Learns from the motion of the finger that is looked at, while it is free."""
-        config, memory, finger = self._config, m.memory, m.memory.attended
+        config, memory, finger = self.config, m.memory, m.memory.attended
         human, robot = memory.p_HF_past[0][self._finger_numbers[finger]], m.percept.p_BF[finger]
         if m.percept.contact[finger] > config.touch_force:
             memory.compared = None
@@ -413,7 +413,7 @@ class Person:
         return np.einsum("fij,fj->fi", memory.learned.J, motion)
 
     def _move_fingers(self, m: Moment, target: np.ndarray | None) -> None:
-        config, memory, phase = self._config, m.memory, self.phases[m.memory.phase]
+        config, memory, phase = self.config, m.memory, self.phases[m.memory.phase]
         if memory.phase == 0 and m.since <= memory.settle_time:
             share = m.move(memory.settle_time) - minimum_jerk((m.since - config.period) / memory.settle_time)
             self._follow(memory, share * (memory.p_HF_open - memory.p_HF_rest))
@@ -443,7 +443,7 @@ class Person:
 
     def _correction(self, m: Moment, moves: np.ndarray, limit: float) -> np.ndarray:
         """Returns a step (5, 3), m, of the own fingers in proportion to the seen errors."""
-        config, memory, phase = self._config, m.memory, self.phases[m.memory.phase]
+        config, memory, phase = self.config, m.memory, self.phases[m.memory.phase]
         error = memory.reference - m.percept.p_BF - m.expected
         if phase.error is not None:
             error = phase.error(m, error)
@@ -455,7 +455,7 @@ class Person:
             velocity[self._finger_numbers[finger]] = memory.learned.own_motion(finger, robot_velocity)
         weight = config.period / (config.period + config.muscle_time_constant)
         memory.finger_velocity = memory.finger_velocity + weight * (velocity - memory.finger_velocity)
-        noise = self._rng.normal(0, config.motor_noise, (5, 1))
+        noise = self.rng.normal(0, config.motor_noise, (5, 1))
         return config.period * memory.finger_velocity * (1 + noise)
 
     def _follow(self, memory: Memory, step: np.ndarray) -> None:
@@ -479,10 +479,10 @@ class Person:
             shift = target.translation() - m.percept.X_WB.translation()
             turn = target.rotation() @ m.percept.X_WB.rotation().inverse()
             memory.movement = WristMovement.planned(
-                memory.X_WH, shift, turn, m.t, self._config, self._rng, phase.wrist_speed
+                memory.X_WH, shift, turn, m.t, self.config, self.rng, phase.wrist_speed
             )
             memory.movements += 1
         # Two periods after its end, the last pose has been applied, and the wrist stays there.
         movement = memory.movement
-        if movement is not None and m.t < movement.t_end + 2 * self._config.period:
+        if movement is not None and m.t < movement.t_end + 2 * self.config.period:
             memory.X_WH = movement.pose(m.t)

@@ -8,7 +8,7 @@ _PRESS = np.array([1.0, 0.0, 0.0])  # direction of a press in B
 
 
 def _cue(m: Moment) -> int:
-    return round(m.percept.values["cue"][0])
+    return round(m.percept.values["phase"][0])
 
 
 def _travel(m: Moment, finger: int) -> float:

@@ -1,14 +1,12 @@
 """A system that replaces glove and tracker by a simulated person."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, State
 
-from geort_drake.people.synthetic.hand import HumanHand
-from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.engine import Memory, Person
 from geort_drake.simulation.person.perception import Percept
 from geort_drake.systems.python_system import PythonSystem
@@ -40,32 +38,22 @@ class SimulatedOperator(PythonSystem):
         phases: names of the person's phases.
 
     Args:
-        hand: the person's hand.
+        X_WH_start: initial pose of the wrist.
         inputs: name → size of each input port.
-        person: function from the generator of noise to the person.
     """
 
-    def __init__(
-        self,
-        hand: HumanHand,
-        config: OperatorConfig,
-        X_WH_start: RigidTransform,
-        seed: int,
-        inputs: Mapping[str, int],
-        person: Callable[[np.random.Generator], Person],
-    ):
+    def __init__(self, person: Person, X_WH_start: RigidTransform, inputs: Mapping[str, int]):
         super().__init__()
+        config, hand = person.config, person.hand
         config.validate()
-        rng = np.random.default_rng(seed)
-        self._hand = hand
+        self._person = person
         self._tremor = config.tremor / np.sqrt(3)
-        self._tremor_rng = np.random.default_rng(rng.integers(2**63))
+        self._tremor_rng = np.random.default_rng(person.rng.integers(2**63))
         # The delays output zeros until their first sample has passed.
         self._vision_start = config.visual_delay - 0.5 * config.period
         self._inputs = {name: self.DeclareVectorInputPort(name, size) for name, size in inputs.items()}
-        self._person = person(rng)
-        self.phases = [phase.name for phase in self._person.phases]
-        start = self._person.start(X_WH_start)
+        self.phases = [phase.name for phase in person.phases]
+        start = person.start(X_WH_start)
         state = self.DeclareAbstractState(AbstractValue.Make(start))
         # The last posture and its keypoints, which a holding hand keeps.
         self._posture, self._p_HK = start.theta, hand.keypoints(start.theta)
@@ -105,7 +93,7 @@ class SimulatedOperator(PythonSystem):
         decision = self._person.step(memory, context.get_time(), Percept.of_ports(values))
         state.get_mutable_abstract_state(0).set_value(decision)
         if decision.theta is not self._posture:
-            self._posture, self._p_HK = decision.theta, self._hand.keypoints(decision.theta)
+            self._posture, self._p_HK = decision.theta, self._person.hand.keypoints(decision.theta)
         keypoints = self._p_HK.copy()
         keypoints[1:] += self._tremor_rng.normal(0, self._tremor, (20, 3))
         state.get_mutable_discrete_state(self._keypoints).set_value(keypoints.ravel())

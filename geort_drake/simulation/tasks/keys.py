@@ -226,7 +226,6 @@ def _add(site: Site) -> Handled:
         parts=caps,
         joints=joints,
         positions=(names, "m"),
-        shows={"cue": lambda outcome: [outcome.phase]},
     )
 
 
@@ -237,6 +236,6 @@ TASK = Task(
     plan=_plan,
     add=_add,
     phases=KEYS,
-    percepts=("positions", "cue"),
+    percepts=("positions", "phase"),  # the phase is the cued key
     settings=KeysSettings,
 )
