@@ -15,7 +15,7 @@ from geort_drake.errors import HandError
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.object_shape import ObjectShape
-from geort_drake.simulation.plan.contacts import GRIPS, grip_contacts, palm_contact
+from geort_drake.simulation.plan.contacts import GRIPS, grip_contacts
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.port_values import pose_to_vector
@@ -51,8 +51,7 @@ def test_a_left_hands_contacts_are_mirrored(grip, name):
     plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.0)
     shape = ObjectShape(plant, scene_graph.model_inspector(), add_object(plant, name))
     yaw = 0.0 if name == "wide_box" else 0.4
-    of_right = [*grip_contacts(shape, yaw, 0.5, grip), palm_contact(shape, yaw, 0.5)]
-    of_left = [*grip_contacts(shape, -yaw, 0.5, grip, "left"), palm_contact(shape, -yaw, 0.5, "left")]
+    of_right, of_left = grip_contacts(shape, yaw, 0.5, grip), grip_contacts(shape, -yaw, 0.5, grip, "left")
     for right, left in zip(of_right, of_left, strict=True):
         assert right.part == left.part
         np.testing.assert_allclose(left.p_OC, mirrored(right.p_OC), atol=1e-12)

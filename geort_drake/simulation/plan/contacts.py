@@ -79,7 +79,7 @@ def grip_contacts(
     offset: float = _OFFSETS[0],
     spacing: float | None = None,
 ) -> list[Contact]:
-    """Returns the contacts of a grip on the object's main part.
+    """Returns the contacts of a grip on the object's main part; that of the palm is the last one.
 
     Args:
         yaw: direction of the grip's axis from the thumb to the fingers, rad.
@@ -96,10 +96,13 @@ def grip_contacts(
     if spacing is not None and grip != PALM_GRIP:
         offset = spacing / 2
         widest = math.asin(min(offset / half_extents(shape.main[0])[0], 1.0))
-    return [
+    contacts = [
         _contact(shape, finger, yaw, _turned(_narrowed(angle, widest), side), z + level * step, offset)
         for finger, (angle, level) in GRIPS[grip].items()
     ]
+    if grip == PALM_GRIP:
+        contacts.append(_contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, offset=0.0))
+    return contacts
 
 
 def _vertical_step(spacing: float | None) -> float:
@@ -110,13 +113,6 @@ def _vertical_step(spacing: float | None) -> float:
 def _narrowed(angle: float, widest: float) -> float:
     """Returns a finger's angle clipped to ±`widest`; a thumb's angle is kept; rad."""
     return angle if abs(angle) > math.pi / 2 else float(np.clip(angle, -widest, widest))
-
-
-def palm_contact(shape: ObjectShape, yaw: float, height: float, side: str = "right") -> Contact:
-    """Returns the palm's contact in a power grasp; for the arguments see `grip_contacts`."""
-    bottom, top = vertical_extent(shape)
-    z = bottom + height * (top - bottom)
-    return _contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, offset=0.0)
 
 
 def _turned(angle: float, side: str) -> float:

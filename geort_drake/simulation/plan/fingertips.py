@@ -8,12 +8,7 @@ from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
 from geort_drake.simulation.person.goal import Plan
-from geort_drake.simulation.plan.inverse_kinematics import (
-    keep_from_limits,
-    position_index,
-    solve,
-    tip_program,
-)
+from geort_drake.simulation.plan.inverse_kinematics import TipKinematics, solve
 
 _TOLERANCE = 5e-4  # m, largest error of a fingertip along each axis
 
@@ -44,11 +39,13 @@ class FingerPlanner:
         self.radius = np.array([description.fingers[index].tip_radius for index in self.fingers])
         self.touches = np.isin(known, fingers)
         self.side = -1.0 if description.side == "left" else 1.0
-        joints = [name for index in self.fingers for name in description.fingers[index].joints]
-        self._columns = np.array([self.hand.joint_names.index(name) for name in joints])
-        plant, model = self.hand.plant, self.hand.instance
-        self._order = np.array([position_index(plant, name, model) for name in self.hand.joint_names])
-        self._context = self.hand.contact_context()
+        self._joints = [name for index in self.fingers for name in description.fingers[index].joints]
+        self._columns = np.array([self.hand.joint_names.index(name) for name in self._joints])
+        self._context, plant = self.hand.contact_context(), self.hand.plant
+        context = plant.GetMyMutableContextFromRoot(self._context)
+        self._tips = tips = TipKinematics(plant, context, self.hand.description, self.hand.instance)
+        self._order = np.array([tips.index[name] for name in self.hand.joint_names])
+        tips.low[self._order], tips.high[self._order] = self.hand.lower, self.hand.upper
 
     def best_first(self, plans: Sequence[Plan], aim: str) -> list[Plan]:
         """Returns plans by their cost; raises ScenarioError without any, as the hand cannot `aim`."""
@@ -95,26 +92,19 @@ class FingerPlanner:
 
         Only the tips may touch each other, and the joints keep a margin to their limits.
         """
-        hand, plant = self.hand, self.hand.plant
-        context = plant.GetMyMutableContextFromRoot(self._context)
-        fingers = [hand.description.fingers[index] for index in self.fingers]
-        places = {
-            finger.name: (p - _TOLERANCE, p + _TOLERANCE) for finger, p in zip(fingers, p_BF, strict=True)
-        }
-        base = plant.GetFrameByName(hand.description.base_frame, hand.instance)
-        low, high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-        low[self._order], high[self._order] = hand.lower, hand.upper
-        weight, moved = np.zeros(len(low)), self._order[self._columns]
-        weight[moved] = (high - low)[moved] ** -2
-        ik = tip_program(
-            plant, context, hand.description, hand.instance, base, places, weight, 0.5 * (low + high)
-        )
-        keep_from_limits(ik, moved, low, high)
+        hand, tips = self.hand, self._tips
+        names = [hand.finger_names[index] for index in self.fingers]
+        places = {name: (p - _TOLERANCE, p + _TOLERANCE) for name, p in zip(names, p_BF, strict=True)}
+        base = hand.plant.GetFrameByName(hand.description.base_frame, hand.instance)
+        weight, moved = np.zeros(len(tips.low)), self._order[self._columns]
+        weight[moved] = (tips.high - tips.low)[moved] ** -2
+        ik = tips.program(base, places, weight, 0.5 * (tips.low + tips.high))
+        tips.keep_from_limits(ik, self._joints)
         idle = np.delete(self._order, self._columns)
         rest = np.delete(hand.default_position, self._columns)
         ik.get_mutable_prog().AddBoundingBoxConstraint(rest, rest, ik.q()[idle])
         hand.query(np.clip(guess, hand.lower, hand.upper), self._context)
-        solution = solve(ik, plant.GetPositions(context))
+        solution = solve(ik, hand.plant.GetPositions(tips.context))
         if solution is None or hand.collides_beyond_tips(q := solution[1][self._order]):
             return None
         return q

@@ -5,9 +5,9 @@ contacts on the object at several yaws and heights, and takes the most comfortab
 arm and hand that reaches them.
 """
 
-import dataclasses as dc
 import itertools
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -18,13 +18,11 @@ from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.plan.approach import APPROACH_CLEARANCE, GraspApproach
 from geort_drake.simulation.plan.contacts import (
     GRIPS,
-    PALM_GRIP,
     Contact,
     contact_heights,
     finger_offsets,
     grip_contacts,
     grip_of,
-    palm_contact,
     vertical_extent,
     yaw_candidates,
 )
@@ -146,7 +144,7 @@ class GraspPlanner:
         guesses = (
             [candidate.q] if self._tip_height is None else [candidate.q, robot.q_default, robot.q_middle]
         )
-        touched = (robot.touch(candidate.contacts, candidate.palm, guess) for guess in guesses)
+        touched = (robot.touch(candidate.contacts, guess) for guess in guesses)
         solution = next((solution for solution in touched if solution is not None), None)
         if solution is None:
             return None
@@ -180,7 +178,7 @@ class GraspPlanner:
         self, candidate: "_Candidate", q_touch: np.ndarray, X_OB: RigidTransform
     ) -> list[tuple[np.ndarray, RigidTransform, float]]:
         """Returns positions of the open hand, X_OB of the waiting hand, and the clearance; best first."""
-        robot, palm = self._kinematics, candidate.palm is not None
+        robot, palm = self._kinematics, candidate.contacts[-1].part == "palm"
         if self._fewest_joints >= 3:
             # The whole hand opens to take an object into the palm, and need not keep its fingertips anywhere.
             q = robot.open_wide(q_touch) if palm else robot.open(candidate.contacts, _OPENING, q_touch)
@@ -212,20 +210,21 @@ class GraspPlanner:
         for step, height in enumerate(heights):
             for yaw in yaw_candidates(shape)[0]:
                 contacts = grip_contacts(shape, yaw, height, self._grip, side, offset, spacing)
-                palm = palm_contact(shape, yaw, height, side) if self._grip == PALM_GRIP else None
                 if not self._tips_are_clear(contacts):
                     continue
-                relaxed = robot.touch(contacts, palm, q_start, collisions=False)
+                relaxed = robot.touch(contacts, q_start, collisions=False)
                 if relaxed is not None:
                     penalty = step * _HEIGHT_STEP
-                    candidates.append(_Candidate(relaxed[0] + penalty, penalty, contacts, palm, relaxed[1]))
+                    candidates.append(_Candidate(relaxed[0] + penalty, penalty, contacts, relaxed[1]))
         return sorted(candidates, key=lambda candidate: candidate.cost)
 
     def _tips_are_clear(self, contacts: list[Contact]) -> bool:
         """Whether fingertips at these contacts are clear of each other."""
         radius = {finger.name: finger.tip_radius for finger in self._description.fingers}
         tips = [
-            (contact.p_OC - contact.n_O * radius[contact.part], radius[contact.part]) for contact in contacts
+            (contact.p_OC - contact.n_O * radius[contact.part], radius[contact.part])
+            for contact in contacts
+            if contact.part != "palm"
         ]
         return all(
             np.linalg.norm(p - other_p) > r + other_r + _TIP_GAP
@@ -233,12 +232,10 @@ class GraspPlanner:
         )
 
 
-@dc.dataclass(frozen=True)
-class _Candidate:
+class _Candidate(NamedTuple):
     """Contacts that are reachable if collisions are ignored."""
 
     cost: float  # discomfort and penalty
     penalty: float  # discomfort for the height
     contacts: list[Contact]
-    palm: Contact | None
     q: np.ndarray

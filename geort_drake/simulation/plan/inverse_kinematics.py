@@ -15,53 +15,60 @@ from geort_drake.hands.description import HandDescription
 _LIMIT_MARGIN = 0.1
 
 
-def position_index(plant: MultibodyPlant, joint: str, model: ModelInstanceIndex) -> int:
-    """Returns the index of a joint in the plant's positions."""
-    return plant.GetJointByName(joint, model).position_start()
+class TipKinematics:
+    """Finds postures of a hand in a plant; all positions q are those of the plant, rad.
 
-
-def tip_program(
-    plant: MultibodyPlant,
-    context: Context,
-    description: HandDescription,
-    hand: ModelInstanceIndex,
-    frame: Frame,
-    places: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    weight: np.ndarray,
-    q_comfortable: np.ndarray,
-) -> InverseKinematics:
-    """Returns a program for the plant's positions q, which may get further constraints before `solve`.
+    Attributes:
+        index: joint of the hand → its index in q.
+        low, high: limits of q.
 
     Args:
-        context: the plant's context, in which the program computes.
-        places: finger → lowest and highest coordinates (3,) of its fingertip point in `frame`, m.
-        weight: (q,) weights of the squared distances from `q_comfortable`, the discomfort that `solve`
-            minimises; followers follow and have none.
+        context: the plant's context, in which programs compute.
+        model: the hand's model in the plant.
     """
-    ik = InverseKinematics(plant, context)
-    for finger in description.fingers:
-        if finger.name in places:
-            tip = plant.GetBodyByName(finger.tip_link, hand).body_frame()
-            ik.AddPositionConstraint(tip, np.asarray(finger.tip_point, float), frame, *places[finger.name])
-    weight = weight.copy()
-    for c in description.followers:
-        index = position_index(plant, c.joint, hand)
-        weight[index] = 0.0  # it follows its leader, which has a weight
-        difference = ik.q()[index] - c.ratio * ik.q()[position_index(plant, c.follows, hand)]
-        ik.get_mutable_prog().AddLinearEqualityConstraint(difference == c.offset)
-    ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_comfortable, ik.q())
-    return ik
 
+    def __init__(
+        self, plant: MultibodyPlant, context: Context, description: HandDescription, model: ModelInstanceIndex
+    ):
+        self.plant, self.context, self.description, self.model = plant, context, description, model
+        joints = map(plant.get_joint, plant.GetJointIndices(model))
+        self.index = {joint.name(): joint.position_start() for joint in joints if joint.num_positions()}
+        self.low, self.high = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
 
-def keep_from_limits(
-    ik: InverseKinematics, indices: Iterable[int], low: np.ndarray, high: np.ndarray
-) -> None:
-    """Constrains joints to a margin from their limits, rad; all arrays have the order of the positions."""
-    for index in indices:
-        margin = _LIMIT_MARGIN * (high[index] - low[index])
-        ik.get_mutable_prog().AddBoundingBoxConstraint(
-            low[index] + margin, high[index] - margin, ik.q()[index]
-        )
+    def program(
+        self,
+        frame: Frame,
+        places: Mapping[str, tuple[np.ndarray, np.ndarray]],
+        weight: np.ndarray,
+        q_comfortable: np.ndarray,
+    ) -> InverseKinematics:
+        """Returns a program for q, which may get further constraints before `solve`.
+
+        Args:
+            places: finger → lowest and highest coordinates (3,) of its fingertip point in `frame`, m.
+            weight: (q,) weights of the squared distances from `q_comfortable`, the discomfort that `solve`
+                minimises; followers follow and have none.
+        """
+        ik = InverseKinematics(self.plant, self.context)
+        for finger in self.description.fingers:
+            if finger.name in places:
+                tip = self.plant.GetBodyByName(finger.tip_link, self.model).body_frame()
+                point = np.asarray(finger.tip_point, float)
+                ik.AddPositionConstraint(tip, point, frame, *places[finger.name])
+        weight = weight.copy()
+        for c in self.description.followers:
+            weight[self.index[c.joint]] = 0.0  # it follows its leader, which has a weight
+            difference = ik.q()[self.index[c.joint]] - c.ratio * ik.q()[self.index[c.follows]]
+            ik.get_mutable_prog().AddLinearEqualityConstraint(difference == c.offset)
+        ik.get_mutable_prog().AddQuadraticErrorCost(np.diag(weight), q_comfortable, ik.q())
+        return ik
+
+    def keep_from_limits(self, ik: InverseKinematics, joints: Iterable[str]) -> None:
+        """Constrains joints to a margin from their limits."""
+        for index in map(self.index.__getitem__, joints):
+            low, high = self.low[index], self.high[index]
+            margin = _LIMIT_MARGIN * (high - low)
+            ik.get_mutable_prog().AddBoundingBoxConstraint(low + margin, high - margin, ik.q()[index])
 
 
 def solve(ik: InverseKinematics, guess: np.ndarray) -> tuple[float, np.ndarray] | None:

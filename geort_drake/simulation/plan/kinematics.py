@@ -7,20 +7,15 @@ from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, Role, Scen
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import RigidBody, UniformGravityFieldElement
+from pydrake.multibody.tree import UniformGravityFieldElement
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.hands.assembly import HandInPlant
-from geort_drake.hands.description import FingerDescription, HandDescription
+from geort_drake.hands.description import HandDescription
 from geort_drake.hands.importers.fingers import parts_of
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.plan.contacts import Contact
-from geort_drake.simulation.plan.inverse_kinematics import (
-    keep_from_limits,
-    position_index,
-    solve,
-    tip_program,
-)
+from geort_drake.simulation.plan.inverse_kinematics import TipKinematics, solve
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_object, add_robot, standing_pose
 
@@ -72,27 +67,29 @@ class GraspKinematics:
         plant.WeldFrames(plant.world_frame(), self._object.body_frame(), self._X_WO)
         plant.Finalize()
         self._plant = plant
-        self._arm, self._hand = plant.GetModelInstanceByName(ARM), plant.GetModelInstanceByName(HAND)
+        self._hand = plant.GetModelInstanceByName(HAND)
         self._base = plant.GetFrameByName(description.base_frame, self._hand)
+        arm = map(plant.get_joint, plant.GetJointIndices(plant.GetModelInstanceByName(ARM)))
+        self._arm = [joint.position_start() for joint in arm if joint.num_positions()]
         self._knuckles = self._find_knuckles()
         self._palm_front = self._find_palm_front(scene_graph)
         self._allow_tip_contacts(scene_graph)
         self._diagram = builder.Build()
         self._context = self._diagram.CreateDefaultContext()
         self._plant_context = plant.GetMyMutableContextFromRoot(self._context)
+        self._tips = TipKinematics(plant, self._plant_context, description, self._hand)
         # Solving leaves its last iterate in the context.
         self.q_default = plant.GetPositions(self._plant_context).copy()
         self.q_middle = self._centred_positions()
         self._ignore_links_close_at_rest()
 
     def touch(
-        self, contacts: list[Contact], palm: Contact | None, guess: np.ndarray, collisions: bool = True
+        self, contacts: list[Contact], guess: np.ndarray, collisions: bool = True
     ) -> tuple[float, np.ndarray] | None:
         """Finds the most comfortable posture near `guess` in which the fingertips touch.
 
         Args:
-            contacts: one for each grasping finger.
-            palm: the palm's contact, or None.
+            contacts: one for each grasping finger, and perhaps the palm's.
             guess: initial positions of the plant.
             collisions: whether to avoid collisions, which takes a hundred times as long.
 
@@ -100,28 +97,26 @@ class GraspKinematics:
             The posture's discomfort and the positions of the plant, or None.
         """
         ik = self._program(contacts, 0.0, _TOLERANCE)
-        low, high = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
-        if palm is not None:
+        for palm in contacts[len(self._grasping) :]:
             self._constrain_palm(ik, palm)
         if collisions:
             ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
-        joints = [name for finger in self._grasping for name in finger.joints]
-        keep_from_limits(ik, map(self._position_index, joints), low, high)
-        return solve(ik, np.clip(guess, low, high))
+        self._tips.keep_from_limits(ik, [name for finger in self._grasping for name in finger.joints])
+        return solve(ik, np.clip(guess, self._tips.low, self._tips.high))
 
     def open(self, contacts: list[Contact], opening: float, q_touch: np.ndarray) -> np.ndarray | None:
         """Returns positions with tips `opening` (m) off the contacts and the arm as in q_touch, or None."""
         ik = self._program(contacts, opening, _OPEN_TOLERANCE)
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
-        arm = self._arm_positions()
-        ik.get_mutable_prog().AddBoundingBoxConstraint(q_touch[arm], q_touch[arm], ik.q()[arm])
+        q_arm = q_touch[self._arm]
+        ik.get_mutable_prog().AddBoundingBoxConstraint(q_arm, q_arm, ik.q()[self._arm])
         solution = solve(ik, q_touch)
         return None if solution is None else solution[1]
 
     def open_wide(self, q_touch: np.ndarray) -> np.ndarray | None:
         """Returns positions with the hand at its default, the arm as in q_touch; None in collision."""
-        q, arm = self.q_default.copy(), self._arm_positions()
-        q[arm] = q_touch[arm]
+        q = self.q_default.copy()
+        q[self._arm] = q_touch[self._arm]
         return None if self._collides(q) else q
 
     def open_thumbs(self, q_touch: np.ndarray, number: int) -> list[np.ndarray]:
@@ -130,16 +125,15 @@ class GraspKinematics:
         Of the `number` places, the first is the default one, and the others are random. Those nearest to the
         touching thumb come first.
         """
-        low, high = self._plant.GetPositionLowerLimits(), self._plant.GetPositionUpperLimits()
-        thumb = next(finger for finger in self._grasping if finger.name == "thumb")
-        joints = [self._position_index(name) for name in thumb.joints]
-        q, arm = np.tile(self.q_default, (number, 1)), self._arm_positions()
-        q[:, arm] = q_touch[arm]
-        q[1:, joints] = np.random.default_rng(0).uniform(low[joints], high[joints], (number - 1, len(joints)))
-        for c in self._description.followers:
-            q[:, self._position_index(c.joint)] = c.ratio * q[:, self._position_index(c.follows)] + c.offset
-        p_OT = self._thumb_tip(q_touch)
-        nearest = np.argsort([np.linalg.norm(self._thumb_tip(one) - p_OT) for one in q])
+        thumb = self._description.finger_names.index("thumb")
+        joints = [self._tips.index[name] for name in self._description.fingers[thumb].joints]
+        low, high = self._tips.low[joints], self._tips.high[joints]
+        q = np.tile(self.q_default, (number, 1))
+        q[:, self._arm] = q_touch[self._arm]
+        q[1:, joints] = np.random.default_rng(0).uniform(low, high, (number - 1, len(joints)))
+        self._let_follow(q)
+        p_OT = self.fingertips(q_touch)[thumb]
+        nearest = np.argsort([np.linalg.norm(self.fingertips(one)[thumb] - p_OT) for one in q])
         return [one for one in q[nearest] if not self._collides(one)]
 
     def reaches(self, X_WB: RigidTransform, q_touch: np.ndarray) -> bool:
@@ -155,13 +149,10 @@ class GraspKinematics:
         ik.AddPositionConstraint(self._base, np.zeros(3), world, p_WB - near, p_WB + near)
         ik.AddOrientationConstraint(world, R, self._base, RotationMatrix(), _TURN_TOLERANCE)
         ik.AddMinimumDistanceLowerBoundConstraint(_CLEARANCE, 0.02)
-        others = np.setdiff1d(np.arange(len(q_touch)), self._arm_positions())
+        others = np.setdiff1d(np.arange(len(q_touch)), self._arm)
         ik.get_mutable_prog().AddBoundingBoxConstraint(q_touch[others], q_touch[others], ik.q()[others])
         ik.get_mutable_prog().AddQuadraticErrorCost(np.eye(len(q_touch)), q_touch, ik.q())
         return solve(ik, q_touch) is not None
-
-    def _thumb_tip(self, q: np.ndarray) -> np.ndarray:
-        return self.fingertips(q)[self._description.finger_names.index("thumb")]
 
     def _collides(self, q: np.ndarray) -> bool:
         """Whether anything collides at the plant's positions q."""
@@ -178,7 +169,8 @@ class GraspKinematics:
         """Returns p_OF (F, 3) of all fingertips at the plant's positions q, m."""
         self._plant.SetPositions(self._plant_context, q)
         p_WF = [
-            self._tip_body(finger).EvalPoseInWorld(self._plant_context) @ np.asarray(finger.tip_point, float)
+            self._plant.GetBodyByName(finger.tip_link, self._hand).EvalPoseInWorld(self._plant_context)
+            @ np.asarray(finger.tip_point, float)
             for finger in self._description.fingers
         ]
         return self._X_WO.inverse().multiply(np.array(p_WF).T).T
@@ -187,10 +179,6 @@ class GraspKinematics:
         """Returns the plant's positions q by joint name, rad."""
         joints = map(self._plant.get_joint, self._plant.GetJointIndices())
         return {joint.name(): q[joint.position_start()] for joint in joints if joint.num_positions()}
-
-    def _arm_positions(self) -> list[int]:
-        joints = map(self._plant.get_joint, self._plant.GetJointIndices(self._arm))
-        return [joint.position_start() for joint in joints if joint.num_positions()]
 
     def _program(self, contacts: list[Contact], opening: float, tolerance: float) -> InverseKinematics:
         """Returns a program with fingertips `opening` (m) off their contacts and discomfort as cost."""
@@ -204,28 +192,22 @@ class GraspKinematics:
         weight = np.full(len(self.q_default), _ARM_WEIGHT)
         for finger in self._description.fingers:
             for name in finger.joints:
-                weight[self._position_index(name)] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
-        return tip_program(
-            self._plant,
-            self._plant_context,
-            self._description,
-            self._hand,
-            self._object.body_frame(),
-            places,
-            weight,
-            self.q_middle,  # where a grasping joint is most comfortable
-        )
+                weight[self._tips.index[name]] = 1.0 if finger in self._grasping else _IDLE_WEIGHT
+        # A grasping joint is most comfortable in the middle of its range.
+        return self._tips.program(self._object.body_frame(), places, weight, self.q_middle)
 
     def _centred_positions(self) -> np.ndarray:
         """Returns the default positions with grasping joints in the middle of their ranges."""
-        q = self.q_default.copy()
-        middle = 0.5 * (self._plant.GetPositionLowerLimits() + self._plant.GetPositionUpperLimits())
-        for finger in self._grasping:
-            for name in finger.joints:
-                q[self._position_index(name)] = middle[self._position_index(name)]
-        for c in self._description.followers:
-            q[self._position_index(c.joint)] = c.ratio * q[self._position_index(c.follows)] + c.offset
+        q, tips = self.q_default.copy(), self._tips
+        joints = [tips.index[name] for finger in self._grasping for name in finger.joints]
+        q[joints] = 0.5 * (tips.low[joints] + tips.high[joints])
+        self._let_follow(q)
         return q
+
+    def _let_follow(self, q: np.ndarray) -> None:
+        """Sets the followers in positions (..., q) from their leaders."""
+        for c in self._description.followers:
+            q[..., self._tips.index[c.joint]] = c.ratio * q[..., self._tips.index[c.follows]] + c.offset
 
     def _constrain_palm(self, ik: InverseKinematics, palm: Contact) -> None:
         """Constrains the palm to face the object at the contact, index finger up."""
@@ -307,9 +289,3 @@ class GraspKinematics:
         object_shapes = GeometrySet(self._plant.GetCollisionGeometriesForBody(self._object))
         filters.Apply(CollisionFilterDeclaration().ExcludeBetween(object_shapes, everything))
         return root
-
-    def _position_index(self, joint: str) -> int:
-        return position_index(self._plant, joint, self._hand)
-
-    def _tip_body(self, finger: FingerDescription) -> RigidBody:
-        return self._plant.GetBodyByName(finger.tip_link, self._hand)
