@@ -112,7 +112,8 @@ def test_methods_objects_people_and_conditions_can_be_added(copy):
     assert settings.objects == ["cylinder", "sphere"] and settings.trials == 2 and settings.persons == [0, 3]
     assert settings.methods["hold"]["latency_s"] == 0.0123
     report = (copy / "report.md").read_text()
-    assert "## grasp, servo people, operator.visual_delay=0" in report and "(varied.svg)" in report
+    assert "## grasp, servo people, operator.visual_delay=0" in report
+    assert "hold, hand_stiffness_factor=2.0<" in (copy / "success.svg").read_text()
 
 
 def test_a_field_of_the_scenario_is_varied_by_its_name():

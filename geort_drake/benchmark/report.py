@@ -11,12 +11,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.rcsetup import cycler
 
-from geort_drake.benchmark.analysis import Interval, endings, frame_of, table
+from geort_drake.benchmark.analysis import endings, frame_of, table
 from geort_drake.benchmark.log import TRIALS, read_rows
 from geort_drake.benchmark.run import Settings, read_settings
 from geort_drake.files import atomic_path, write_text
 
-REPORT, SUCCESS, COMPLETION, VARIED = "report.md", "success.svg", "completion.svg", "varied.svg"
+REPORT, SUCCESS, COMPLETION = "report.md", "success.svg", "completion.svg"
 GROUP = ["task", "kind", "condition"]
 # The Okabe-Ito colours, which colour-blind people can tell apart; marker shapes repeat the distinction.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#777777", "#8C6D31")
@@ -103,14 +103,11 @@ def write_report(folder: Path) -> Report:
     for name, title, draw in (
         (SUCCESS, "Success by method, with intervals", _draw_success),
         (COMPLETION, "Fraction of trials completed over time", _draw_completion),
-        (VARIED, "Success in changed scenarios", _draw_varied),
     ):
-        with mpl.rc_context(STYLE):
-            figure = draw(report)
-        if figure is not None:
+        if report.tables:
+            with mpl.rc_context(STYLE), atomic_path(folder / name) as path:
+                draw(report).savefig(path, format="svg", metadata={"Date": None, "Creator": None})
             links.append(f"![{title}]({name})")
-            with atomic_path(folder / name) as path:
-                figure.savefig(path, format="svg", metadata={"Date": None, "Creator": None})
     write_text(folder / REPORT, _markdown(report, links))
     return report
 
@@ -204,40 +201,39 @@ def _unique(frame: pd.DataFrame, column: str) -> Iterable[tuple]:
         yield method, f"{len(group)} {'trial' if len(group) == 1 else 'trials'}", value
 
 
-def _panels(report: Report) -> list[tuple[str, str, str]]:
-    return [group for group in report.tables if not group[2]]
-
-
-def _draw_success(report: Report) -> Figure | None:
-    """Draws success with its interval, a panel for each task and kind of person."""
-    panels = _panels(report)
-    if not panels:
-        return None
-    figure, grid = _grid(len(panels), 0.5 + 0.22 * len(report.methods))
-    for axes, group in zip(grid, panels, strict=True):
-        for number, interval in enumerate(report.tables[group]["success"]):
-            _point(axes, interval, number, number)
-        axes.set(title=", ".join(group[:2]), xlim=(-2, 102), ylim=(len(report.methods) - 0.5, -0.5))
-        axes.set_yticks(range(len(report.methods)), report.methods)
+def _draw_success(report: Report) -> Figure:
+    """Draws success with its interval, a panel for each task and kind of person, by method and condition."""
+    panels = dict.fromkeys(group[:2] for group in report.tables)
+    points = {
+        panel: [
+            (method, condition, report.tables[*panel, condition].set_index("method").loc[method, "success"])
+            for *of, condition in report.tables
+            if tuple(of) == panel
+            for method in report.methods
+        ]
+        for panel in panels
+    }
+    figure, grid = _grid(len(panels), 0.5 + 0.22 * max(map(len, points.values())))
+    for axes, (panel, rows) in zip(grid, points.items(), strict=True):
+        for place, (method, _, interval) in enumerate(rows):
+            mean, low, high = (100 * value for value in interval)
+            if np.isnan(mean):
+                continue
+            errors = None if np.isnan(low) else [[mean - low], [high - mean]]
+            number = report.methods.index(method)
+            style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+            axes.errorbar([mean], [place], xerr=errors, linestyle="", markersize=4, **style)
+        axes.set(title=", ".join(panel), xlim=(-2, 102), ylim=(len(rows) - 0.5, -0.5))
+        labels = [", ".join(filter(None, (method, condition))) for method, condition, _ in rows]
+        axes.set_yticks(range(len(rows)), labels)
         axes.set_xlabel("success, %")
     return figure
 
 
-def _point(axes: Any, interval: Interval, y: float, number: int, label: str | None = None) -> None:
-    mean, low, high = (100 * value for value in interval)
-    if not np.isnan(mean):
-        errors = None if np.isnan(low) else [[mean - low], [high - mean]]
-        style = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
-        axes.errorbar([mean], [y], xerr=errors, label=label, linestyle="", markersize=4, **style)
-
-
-def _draw_completion(report: Report) -> Figure | None:
-    """Draws the fraction of trials completed over time, a panel for each task and kind of person."""
-    panels = _panels(report)
-    if not panels:
-        return None
-    figure, grid = _grid(len(panels), 2.0)
-    for axes, group in zip(grid, panels, strict=True):
+def _draw_completion(report: Report) -> Figure:
+    """Draws the fraction of trials completed over time, a panel for each task, kind and condition."""
+    figure, grid = _grid(len(report.tables), 2.0)
+    for axes, group in zip(grid, report.tables, strict=True):
         judged = report.judged(group)
         for number, name in enumerate(report.methods):
             of_method = judged[judged["method"] == name]
@@ -246,30 +242,8 @@ def _draw_completion(report: Report) -> Figure | None:
             share = [0.0, *(100 * np.arange(1, len(times) + 1) / max(len(of_method), 1))]
             colour = COLOURS[number % len(COLOURS)]
             axes.step(t, [*share, share[-1]], where="post", label=name, color=colour, linewidth=1.2)
-        axes.set(title=", ".join(group[:2]), xlabel="time, s", ylabel="completed, %", ylim=(-2, 102))
-    figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    return figure
-
-
-def _draw_varied(report: Report) -> Figure | None:
-    """Draws success in changed scenarios, a panel for each task, kind of person and changed field."""
-    fields = {
-        (task, kind, condition.partition("=")[0]) for task, kind, condition in report.tables if condition
-    }
-    if not fields:
-        return None
-    panels = sorted(fields)
-    figure, grid = _grid(len(panels), 2.4)
-    for axes, (task, kind, field) in zip(grid, panels, strict=True):
-        groups = [group for group in report.tables if group[:2] == (task, kind)]
-        groups = [group for group in groups if group[2].partition("=")[0] in ("", field)]
-        for number, name in enumerate(report.methods):
-            for place, group in enumerate(groups):
-                figures = report.tables[group].set_index("method")
-                offset = 0.6 * ((number + 0.5) / len(report.methods) - 0.5)
-                _point(axes, figures.loc[name, "success"], place + offset, number, None if place else name)
-        axes.set_yticks(range(len(groups)), [group[2].partition("=")[2] or "nominal" for group in groups])
-        axes.set(title=f"{task}, {kind}: {field}", xlabel="success, %", xlim=(-2, 102))
+        title = ", ".join(filter(None, group))
+        axes.set(title=title, xlabel="time, s", ylabel="completed, %", ylim=(-2, 102))
     figure.legend(*grid[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
     return figure
 
