@@ -10,12 +10,11 @@ import copy
 import dataclasses as dc
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
-from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_dump_typed
 
 from geort_drake.benchmark.log import TRIALS, Row, TrialKey, TrialLog, read_rows
 from geort_drake.benchmark.workers import call_in_workers, error_row, plan, simulate
@@ -30,7 +29,7 @@ from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
-from geort_drake.simulation.scenario_files import check_scenario, load_scenario
+from geort_drake.simulation.scenario_files import check_scenario, load_scenario, merged
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import Trial, TrialBuilder, plan_key
 from geort_drake.versions import git_state, versions
@@ -129,13 +128,9 @@ def vary(scenario: Scenario, texts: Iterable[str]) -> dict[str, Scenario]:
             nested: Any = yaml.safe_load(value)
             for part in reversed(field.split(".")):
                 nested = {part: nested}
-            try:
-                changed = yaml_load_typed(schema=Scenario, data=yaml.safe_dump(nested), defaults=scenario)
-                same = attrgetter(field)(changed) == attrgetter(field)(scenario)
-            except Exception as error:  # Drake's loader raises many types
-                raise ScenarioError(f"{field}={value}: {error}") from error
+            changed = merged(yaml.safe_dump(nested), None, f"{field}={value}", scenario)
             check_scenario(changed)
-            if not same:
+            if dump_scenario(changed) != dump_scenario(scenario):
                 conditions[f"{field}={value}"] = changed
     return conditions
 

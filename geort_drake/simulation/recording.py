@@ -140,8 +140,10 @@ def add_trial_recorder(
         derive=lambda states: fingertips(states[:, :n]).reshape(len(states), -1),
     )
     free_bodies = [] if handled.mass_factor is None else [handled.body]
-    for body in free_bodies:
-        specs["object/path"] = _path(plant, body)
+    if free_bodies:
+        specs["object/path"] = PointsSpec(
+            stage.percepts["object_pose"], radius=0.002, color=_PATH_COLOR, trail=math.inf, derive=_origin
+        )
     if operator_inputs:
         start = scenario.operator.visual_delay
         specs["seen/fingertips"] = PointsSpec(
@@ -149,7 +151,7 @@ def add_trial_recorder(
         )
     if "object_pose" in operator_inputs:
         specs["seen/object"] = PointsSpec(
-            operator_inputs["object_pose"], None, 0.015, _SEEN_COLOR, start=start, derive=lambda X: X[:, 4:]
+            operator_inputs["object_pose"], None, 0.015, _SEEN_COLOR, start=start, derive=_origin
         )
     return add_rerun_recorder(
         builder,
@@ -257,13 +259,9 @@ def _joint_signals(
     return signals
 
 
-def _path(plant: MultibodyPlant, body: RigidBody) -> PointsSpec:
-    """Returns the spec of a free body's path, from the plant's state."""
-    model = body.model_instance()
-    names = plant.GetPositionNames(model, add_model_instance_prefix=False)
-    xyz = [names.index(f"{body.name()}_{axis}") for axis in "xyz"]
-    state = plant.get_state_output_port(model)
-    return PointsSpec(state, radius=0.002, color=_PATH_COLOR, trail=math.inf, derive=lambda x: x[:, xyz])
+def _origin(poses: np.ndarray) -> np.ndarray:
+    """Returns the origins (T, 3) of poses (T, 7)."""
+    return poses[:, 4:]
 
 
 def _close_ups(

@@ -147,13 +147,13 @@ def _loaded(
 ) -> Scenario:
     source = find_task(task or "grasp").scenario
     if file is None and isinstance(source, str):
-        scenario = _merged(source, None, f"the scenario of task {task}", defaults)
+        scenario = merged(source, None, f"the scenario of task {task}", defaults)
         scenario.task = task or scenario.task
     else:
         default_file, default_name = ("", "Grasp") if isinstance(source, str) else source
         scenario = _read(Path(file or default_file), name or default_name, defaults)
     if text:
-        scenario = _merged(text, None, "the text merged into the scenario", scenario)
+        scenario = merged(text, None, "the text merged into the scenario", scenario)
     return scenario
 
 
@@ -171,10 +171,10 @@ def _read(path: Path, name: str, defaults: Scenario) -> Scenario:
     choices = [key.value for key, _ in node.value]
     if name not in choices:
         raise UnknownNameError(f"scenario in {path}", name, choices)
-    return _merged(text, name, f"scenario '{name}' in {path}", defaults)
+    return merged(text, name, f"scenario '{name}' in {path}", defaults)
 
 
-def _merged(text: str, name: str | None, source: str, defaults: Scenario) -> Scenario:
+def merged(text: str, name: str | None, source: str, defaults: Scenario) -> Scenario:
     """Returns the defaults with YAML merged in: a scenario, or the one of that name in a mapping."""
     try:
         node = yaml.compose(text, Loader=yaml.SafeLoader)
