@@ -47,10 +47,9 @@ def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None)
     from geort_drake.hands.hand import Hand
     from geort_drake.people.synthetic.hand import HumanHand
     from geort_drake.people.synthetic.play import synthesize_play
-    from geort_drake.simulation.free_play import seen_fingertips, select_reachable
     from geort_drake.simulation.plan.grasp import GraspPlanner
     from geort_drake.simulation.scenario_files import load_scenario
-    from geort_drake.simulation.trial import run_trial
+    from geort_drake.simulation.trial import run_trial, seen_fingertips, select_reachable
 
     # Drake repeats the same warnings in every trial.
     logging.getLogger("drake").setLevel(logging.ERROR)

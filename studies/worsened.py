@@ -14,10 +14,9 @@ from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.base import forget
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
-from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.scenario_files import load_scenario
 from geort_drake.simulation.tasks import find_task
-from geort_drake.simulation.trial import Trial
+from geort_drake.simulation.trial import Trial, after_play, seen_fingertips, select_reachable
 
 # What each fault does, and the unit of its size. The seed draws axes, directions and noise.
 FAULTS = {

@@ -95,13 +95,13 @@ def light_benchmark(play):
     """Benchmarks and grasps have a minute of play, few measured calls, and little free play."""
     from geort_drake import methods
     from geort_drake.retargeting import train
-    from geort_drake.simulation import free_play
+    from geort_drake.simulation import trial
 
     def shorter(seed: int, side: str):
         return dataclasses.replace(play, metadata=play.metadata | {"seed": seed, "side": side})
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(free_play, "DURATION", 2.0)
+        patch.setattr(trial, "PLAY_DURATION", 2.0)
         patch.setattr(methods, "_PARTS", 1)
         patch.setattr(train, "synthesize_play", shorter)
         yield

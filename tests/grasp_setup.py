@@ -18,7 +18,6 @@ from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.retargeting.base import kinematics_of
 from geort_drake.simulation.diagram import TrialDiagram
-from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.person.finger_motion import FingerMotion
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.person.perception import FreePlay
@@ -26,6 +25,7 @@ from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import PERIOD, Judgement, Outcome, Stage, Task, TrialResult
 from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.trial import after_play, seen_fingertips, select_reachable
 
 GAIN = 1.5
 # Of a scenario: too short to grasp anything, long enough to run through every part.

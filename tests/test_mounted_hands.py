@@ -13,10 +13,10 @@ from pydrake.systems.framework import DiagramBuilder
 from geort_drake import Hand, load_hand, load_retargeter, load_scenario, make_trial_diagram, run_trial
 from geort_drake.errors import HandError
 from geort_drake.people.keypoints import mirrored
-from geort_drake.simulation.free_play import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.plan.contacts import GRIPS, grip_contacts
 from geort_drake.simulation.plan.grasp import GraspPlanner
+from geort_drake.simulation.trial import after_play, seen_fingertips, select_reachable
 from geort_drake.simulation.world import HAND, add_object, add_robot
 from geort_drake.systems.port_values import pose_to_vector
 

@@ -17,7 +17,6 @@ from geort_drake import load_hand
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.resources import object_names
-from geort_drake.simulation.free_play import select_reachable
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.contacts import (
@@ -33,6 +32,7 @@ from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.plan.kinematics import GraspKinematics
 from geort_drake.simulation.scenario import object_file
 from geort_drake.simulation.scenario_files import load_scenario
+from geort_drake.simulation.trial import select_reachable
 from geort_drake.simulation.world import HAND, add_object, add_robot
 
 TIP_RADIUS = 0.012

@@ -26,11 +26,10 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.store import shipped_maps
-from geort_drake.simulation.free_play import seen_fingertips, select_reachable
 from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.task import TrialResult
 from geort_drake.simulation.tasks.grasp import GraspPhase
-from geort_drake.simulation.trial import _POPULATION, TrialBuilder
+from geort_drake.simulation.trial import _POPULATION, TrialBuilder, seen_fingertips, select_reachable
 from geort_drake.simulation.worn_glove import WornGlove, WornGloveConfig
 
 KINDS = ("command", "measured")
