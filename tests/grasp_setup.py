@@ -23,8 +23,8 @@ from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
-from geort_drake.simulation.task import PERIOD, Judgement, Outcome, Stage, Task, TrialResult
-from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.task import PERIOD, Judgement, Outcome, Stage, TrialResult
+from geort_drake.simulation.tasks import cap, find_task, keys
 from geort_drake.simulation.trial import after_play, seen_fingertips, select_reachable
 
 GAIN = 1.5
@@ -174,17 +174,14 @@ def outcome_of(judgement: Judgement, until: float, begins: float = 0.0, **inputs
 @shared
 def plans(task: str) -> list:
     """A finger task's plans for the Allegro hand, the best first."""
-    return find_task(task).plan(load_scenario(task=task), allegro().description)
+    planner = {"keys": keys.plans, "cap": lambda description: cap.CapPlanner(description).plans()}[task]
+    return planner(allegro().description)
 
 
 def plan_once(patch, *tasks: str) -> None:
     """Lets these tasks' stages find the goals for the Allegro hand without a search; others plan as usual."""
-    of_tasks, search = {task: goals(task) for task in tasks}, Task.plans
-
-    def plans_of(each: Task, scenario: Scenario, description: HandDescription) -> list:
-        return of_tasks[each.name] if each.name in of_tasks else search(each, scenario, description)
-
-    patch.setattr(Task, "plans", plans_of)
+    for task in tasks:
+        patch.setattr(find_task(task), "plans", lambda scenario, description, task=task: goals(task))
 
 
 @shared

@@ -153,7 +153,7 @@ def test_friction_and_stiffness_are_scaled_in_the_plant():
     # The controllers compensate the weight of arm and hand.
     for model in (nominal.arm, nominal.hand):
         assert not nominal.plant.is_gravity_enabled(model)
-    assert nominal.plant.is_gravity_enabled(nominal.body.model_instance())
+    assert nominal.plant.is_gravity_enabled(nominal.handled.body.model_instance())
 
 
 BALL = trimesh.creation.icosphere(subdivisions=7, radius=1.0).vertices

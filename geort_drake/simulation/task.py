@@ -23,7 +23,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.settings import require_numbers
 from geort_drake.simulation.person.engine import Person, Phase
-from geort_drake.simulation.person.goal import Goal, Plan
+from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_robot, finalize, joint_state
 from geort_drake.systems.port_values import Immutable, pose_to_vector
@@ -240,7 +240,7 @@ class Stage:
         self.judge.restart(self.judge.GetMyMutableContextFromRoot(root))
 
 
-@dc.dataclass(frozen=True, eq=False)
+@dc.dataclass(eq=False)
 class Task:
     """A task; each module of `tasks` defines one named `TASK`.
 
@@ -248,7 +248,7 @@ class Task:
         name: name of the task and its module.
         summary: one line for --help.
         scenario: YAML of its scenario, see `Scenario`, or a file and the scenario's name in it.
-        plan: plans of the scenario's robot, best first. Raises ScenarioError if there are none.
+        plans: goals for the scenario's robot, best first. Raises ScenarioError if there are none.
         add: adds to the plant what the hand handles. Raises ScenarioError or HandError if scenario and models
             do not fit together.
         phases: the person's behaviour.
@@ -263,7 +263,7 @@ class Task:
     name: str
     summary: str
     scenario: str | tuple[Path, str]
-    plan: Callable[[Scenario, HandDescription], list[Plan]]
+    plans: Callable[[Scenario, HandDescription], Sequence[Goal]]
     add: Callable[[Site], Handled]
     phases: tuple[Phase, ...]
     percepts: tuple[str, ...] = ()
@@ -287,10 +287,6 @@ class Task:
     def case_of(self, scenario: Scenario) -> str:
         """Returns the case of a scenario."""
         return self.name if self.cases_of is None else scenario.object.name
-
-    def plans(self, scenario: Scenario, description: HandDescription) -> list[Goal]:
-        """Returns the goals of `plan`."""
-        return [plan.goal for plan in self.plan(scenario, description)]
 
     def person(self, scenario: Scenario, hand: HumanHand, goal: Goal, rng: np.random.Generator) -> Person:
         """Returns a person who perceives the ports of `Stage.percepts`.

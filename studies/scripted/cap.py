@@ -4,10 +4,10 @@ import numpy as np
 from pydrake.systems.framework import BasicVector, Context
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.person.goal import Plan
+from geort_drake.simulation.plan.fingertips import Plan
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
-from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.tasks import cap
 from geort_drake.simulation.wrist_motion import minimum_jerk
 from geort_drake.systems.joint_limits import actuated_joints
 from geort_drake.systems.python_system import PythonSystem
@@ -53,7 +53,7 @@ class ScriptedCap(PythonSystem):
 
 def plans(scenario: Scenario, description: HandDescription) -> list[Plan]:
     """Returns plans for the cap, the best first."""
-    return find_task("cap").plan(scenario, description)
+    return cap.CapPlanner(description).plans()
 
 
 def scripted(scenario: Scenario, plan: Plan, seed: int) -> float:

@@ -3,8 +3,8 @@
 import abc
 import dataclasses as dc
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Self, TypeVar
+from collections.abc import Sequence
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
@@ -90,16 +90,3 @@ def yaw_of(R_WO: RotationMatrix) -> float:
     if np.hypot(*R[:2, 0]) >= np.hypot(*R[:2, 1]):
         return math.atan2(R[1, 0], R[0, 0])
     return math.atan2(-R[0, 1], R[1, 1])
-
-
-class Plan(NamedTuple):
-    """A goal of the person, and postures of the robot's hand that reach it.
-
-    Attributes:
-        cost: how uncomfortable the posture is; plans with lower costs come first.
-        postures: name → (n,) or (steps, n) joint positions of the hand, rad; the person does not know them.
-    """
-
-    goal: Goal
-    cost: tuple[float, ...] = ()
-    postures: Mapping[str, Any] = {}

@@ -1,16 +1,30 @@
 """Plans postures of a hand whose fingertips must reach given points."""
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from geort_drake.errors import ScenarioError
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
-from geort_drake.simulation.person.goal import Plan
+from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.plan.inverse_kinematics import TipKinematics, solve
 
 _TOLERANCE = 5e-4  # m, largest error of a fingertip along each axis
+
+
+class Plan(NamedTuple):
+    """A goal of the person, and postures of the robot's hand that reach it.
+
+    Attributes:
+        cost: how uncomfortable the posture is; plans with lower costs come first.
+        postures: name → (n,) or (steps, n) joint positions of the hand, rad; the person does not know them.
+    """
+
+    goal: Goal
+    cost: tuple[float, ...]
+    postures: Mapping[str, Any]
 
 
 class FingerPlanner:

@@ -15,8 +15,8 @@ from pydrake.multibody.tree import FixedOffsetFrame, PdControllerGains, ScrewJoi
 
 from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.person.cap import CAP
-from geort_drake.simulation.person.goal import Goal, Plan
-from geort_drake.simulation.plan.fingertips import FingerPlanner
+from geort_drake.simulation.person.goal import Goal
+from geort_drake.simulation.plan.fingertips import FingerPlanner, Plan
 from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
 
 RADIUS, HEIGHT = 0.020, 0.025  # m
@@ -246,7 +246,7 @@ TASK = Task(
     name="cap",
     summary="unscrew a cap with three fingers, which grip again and again",
     scenario=SCENARIO,
-    plan=lambda scenario, description: CapPlanner(description).plans(),
+    plans=lambda scenario, description: [plan.goal for plan in CapPlanner(description).plans()],
     add=_add,
     phases=CAP,
     percepts=("positions",),

@@ -16,7 +16,6 @@ from pydrake.math import RigidTransform
 
 from geort_drake.files import finite_json
 from geort_drake.resources import diagrams_dir, object_names
-from geort_drake.simulation.person.goal import Plan
 from geort_drake.simulation.person.handling import GRASP
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.task import PERIOD, Handled, Judgement, Observation, Outcome, Site, Task
@@ -213,7 +212,7 @@ TASK = Task(
     name="grasp",
     summary="lift an object and hold it",
     scenario=(diagrams_dir() / "grasp.scenarios.yaml", "Grasp"),
-    plan=lambda scenario, description: [Plan(goal) for goal in GraspPlanner(scenario, description).plans()],
+    plans=lambda scenario, description: GraspPlanner(scenario, description).plans(),
     add=_add,
     phases=GRASP,
     cases_of=object_names,

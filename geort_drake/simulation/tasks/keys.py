@@ -17,10 +17,9 @@ from pydrake.multibody.plant import CoulombFriction
 from pydrake.multibody.tree import FixedOffsetFrame, PrismaticJoint, PrismaticSpring, SpatialInertia
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.person.goal import Goal, Plan
+from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.person.keys import KEYS
-from geort_drake.simulation.plan.fingertips import FingerPlanner
-from geort_drake.simulation.scenario import Scenario
+from geort_drake.simulation.plan.fingertips import FingerPlanner, Plan
 from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
 
 # Size of a key cap along and across the fingers, and distance between the centres of neighbours, m.
@@ -147,7 +146,7 @@ class KeysGoal(Goal):
         return self.p_BF_open, self.p_BF_pressed
 
 
-def _plan(scenario: Scenario, description: HandDescription) -> list[Plan]:
+def plans(description: HandDescription) -> list[Plan]:
     """Plans places of the keys. Postures: `open` above them, and `pressed`, one for each pressed key."""
     planner = FingerPlanner(description, FINGERS, "the keys need")
     hand = planner.hand
@@ -186,8 +185,8 @@ def _plan(scenario: Scenario, description: HandDescription) -> list[Plan]:
         )
         return Plan(goal, (planner.discomfort(q_open),), {"open": q_open, "pressed": q_pressed})
 
-    plans = [plan for x in _X[_X > start.max() + HOVER] for z in _Z if (plan := plan_at(x, z)) is not None]
-    return planner.best_first(plans, f"reach three keys {1000 * PITCH:.0f} mm apart")
+    reached = [plan for x in _X[_X > start.max() + HOVER] for z in _Z if (plan := plan_at(x, z)) is not None]
+    return planner.best_first(reached, f"reach three keys {1000 * PITCH:.0f} mm apart")
 
 
 def _add(site: Site) -> Handled:
@@ -233,7 +232,7 @@ TASK = Task(
     name="keys",
     summary="press the cued one of three keys without moving the others",
     scenario=SCENARIO,
-    plan=_plan,
+    plans=lambda scenario, description: [plan.goal for plan in plans(description)],
     add=_add,
     phases=KEYS,
     percepts=("positions", "phase"),  # the phase is the cued key

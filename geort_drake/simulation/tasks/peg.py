@@ -3,7 +3,7 @@
 from pydrake.math import RigidTransform
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.person.goal import Plan
+from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.transfer import ARM_POSTURE, CarriedState, Transfer
@@ -45,9 +45,9 @@ def _hole(side: str) -> RigidTransform:
     return RigidTransform([x, y if side == "left" else -y, z])
 
 
-def _plan(scenario: Scenario, description: HandDescription) -> list[Plan]:
+def _plans(scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
     X_WP = _hole(description.side)
-    return [Plan(goal) for goal in GraspPlanner(scenario, description, "power", _TIP_HEIGHT, X_WP).plans()]
+    return GraspPlanner(scenario, description, "power", _TIP_HEIGHT, X_WP).plans()
 
 
 TRANSFER = Transfer(
@@ -67,6 +67,6 @@ TASK = TRANSFER.task(
     name="peg",
     summary="lift a dowel and insert it in a hole",
     scenario=SCENARIO,
-    plan=_plan,
+    plans=_plans,
     cases_of=lambda: ["dowel"],
 )

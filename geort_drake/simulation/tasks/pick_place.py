@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 
 from geort_drake.hands.description import HandDescription
-from geort_drake.simulation.person.goal import Plan
+from geort_drake.simulation.person.goal import GraspGoal
 from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.transfer import ARM_POSTURE, CarriedState, Transfer
@@ -55,12 +55,12 @@ def _draw_place(plant: MultibodyPlant, X_WP: RigidTransform) -> None:
     plant.RegisterVisualGeometry(plant.world_body(), X_WMark, Box(0.03, 0.03, 0.0008), "place", _MARK)
 
 
-def _plan(scenario: Scenario, description: HandDescription) -> list[Plan]:
+def _plans(scenario: Scenario, description: HandDescription) -> list[GraspGoal]:
     # Above the middle, so that the block hangs, and with at least 4 mm between tips and table.
     radius = max(finger.tip_radius for finger in description.fingers)
     tip_height = max(0.75 * HEIGHTS[scenario.object.name], radius + 0.004)
     X_WP = _middle_place(scenario, description.side)
-    return [Plan(goal) for goal in GraspPlanner(scenario, description, "pinch", tip_height, X_WP).plans()]
+    return GraspPlanner(scenario, description, "pinch", tip_height, X_WP).plans()
 
 
 TRANSFER = Transfer(
@@ -80,6 +80,6 @@ TASK = TRANSFER.task(
     name="pick_place",
     summary="lift a low block off the table and put it down at another place",
     scenario=SCENARIO,
-    plan=_plan,
+    plans=_plans,
     cases_of=lambda: list(HEIGHTS),
 )
