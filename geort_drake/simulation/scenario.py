@@ -86,8 +86,7 @@ class Scenario:
     )
     # Arm and surroundings; the arm must be named `arm`.
     directives: list[ModelDirective] = dc.field(default_factory=list)
-    # Description of the robot hand: a stem in models/hands, or a path. Its model is added as `hand`, unless
-    # the directives add it.
+    # Description of the robot hand: a stem in models/hands, or a path. Its model is added as `hand`.
     hand: str = "allegro_right"
     # Frame to which the hand is welded; the hand's `mount` is relative to it.
     hand_parent: str = "adapter::hand_side"

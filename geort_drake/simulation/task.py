@@ -109,7 +109,6 @@ class Judge(PythonSystem):
         link_contact (L): force between each link of the hand and the object, N.
         joints (2K): positions, then velocities of the object's joints; only if it has any.
     Output ports:
-        outcome (abstract Outcome).
         phase (1): number of the task's present state.
         positions (K): positions of the object's joints; only if it has any.
         place_pose (7): X_WP, where the object belongs; only if it has a place.
@@ -128,15 +127,11 @@ class Judge(PythonSystem):
         sizes |= {"link_contact": num_links, "joints": 2 * num_joints}
         self._inputs = {name: self.DeclareVectorInputPort(name, size) for name, size in sizes.items() if size}
         state = self.DeclareAbstractState(AbstractValue.Make(Outcome()))
-        tickets = {self.abstract_state_ticket(state)}
-        self.DeclareAbstractOutputPort(
-            "outcome",
-            lambda: AbstractValue.Make(Outcome()),
-            lambda context, output: output.set_value(self.outcome(context)),
-            tickets,
-        )
         self.DeclareVectorOutputPort(
-            "phase", 1, lambda context, output: output.SetAtIndex(0, self.outcome(context).phase), tickets
+            "phase",
+            1,
+            lambda context, output: output.SetAtIndex(0, self.outcome(context).phase),
+            {self.abstract_state_ticket(state)},
         )
         if num_joints:
             joints = self._inputs["joints"]

@@ -12,7 +12,6 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import (
-    FlattenModelDirectives,
     GetScopedFrameByName,
     ModelDirectives,
     Parser,
@@ -94,38 +93,16 @@ def add_robot(plant: MultibodyPlant, scenario: Scenario, description: HandDescri
     parser = Parser(plant)
     parser.package_map().Add(PACKAGE_NAME, str(resource_root()))
     try:
-        _process_directives(ModelDirectives(directives=scenario.directives), parser)
+        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
     except RuntimeError as error:
         raise ScenarioError(f"scenario field directives: {error}") from error
     if not plant.HasModelInstanceNamed(ARM):
         raise ScenarioError(f"scenario field directives must add a model named '{ARM}'")
-    if plant.HasModelInstanceNamed(HAND):
-        hand = plant.GetModelInstanceByName(HAND)
-        _set_defaults(plant, hand, description.default_positions, f"hand '{description.name}'")
-    else:
-        _mount_hand(plant, scenario, description)
+    _mount_hand(plant, scenario, description)
     arm = plant.GetModelInstanceByName(ARM)
     _set_defaults(plant, arm, scenario.arm_posture, "scenario field arm_posture")
     if description.side == "left":
         _set_defaults(plant, arm, scenario.left_arm_posture, "scenario field left_arm_posture")
-
-
-def _process_directives(directives: ModelDirectives, parser: Parser) -> None:
-    """Does the same as `ProcessModelDirectives`, but reads SDF files by `add_models`, which is faster."""
-    plant, packages = parser.plant(), parser.package_map()
-    for directive in FlattenModelDirectives(directives, packages).directives:
-        model, weld = directive.add_model, directive.add_weld
-        if model and not (model.default_joint_positions or model.default_free_body_pose):
-            models = add_models(parser, packages.ResolveUrl(model.file))
-            if len(models) != 1:
-                raise RuntimeError(f"{model.file} contains {len(models)} models; expected one")
-            plant.RenameModelInstance(models[0], model.name)
-        elif weld:
-            parent, child = (GetScopedFrameByName(plant, name) for name in (weld.parent, weld.child))
-            X_PC = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
-            plant.WeldFrames(parent, child, X_PC)
-        else:
-            ProcessModelDirectives(ModelDirectives(directives=[directive]), parser)
 
 
 def add_object(plant: MultibodyPlant, name: str) -> RigidBody:

@@ -29,7 +29,6 @@ class SimulatedOperator(PythonSystem):
         wrist_pose (abstract RigidTransform): X_WH of the tracker on the person's wrist.
         valid (1): always 1.
         phase (1): one of `phases` as a number.
-        attempt (1): number of attempts so far, from 1.
 
     State: the person's memory (abstract) and the keypoints (63). The noise generator is not part of the
     state, so a system serves one simulation.
@@ -75,9 +74,6 @@ class SimulatedOperator(PythonSystem):
             1,
             lambda context, output: output.SetAtIndex(0, float(self.memory(context).phase)),
             ticket,
-        )
-        self.DeclareVectorOutputPort(
-            "attempt", 1, lambda context, output: output.SetAtIndex(0, self.memory(context).attempt), ticket
         )
         self.DeclarePeriodicUnrestrictedUpdateEvent(config.period, 0.0, self._decide)
 
