@@ -72,7 +72,7 @@ HAND = {"fingertips", "hand_pose", "object_pose"}
     [
         ("grasp", HAND, {"contact"}),
         ("keys", HAND, {"positions", "phase", "contact"}),
-        ("cap", HAND | {"positions"}, {"contact"}),
+        ("cap", HAND, {"positions", "contact"}),
         ("pick_place", HAND | {"place_pose"}, {"contact"}),
         ("peg", HAND | {"place_pose"}, {"contact"}),
     ],

@@ -108,7 +108,8 @@ def make_trial_diagram(
         X_WH_start = RigidTransform(X_WB_seen.rotation(), np.zeros(3))
         sizes = {name: port.size() for name, port in stage.percepts.items()}
         operator = source = builder.AddNamedSystem("operator", SimulatedOperator(person, X_WH_start, sizes))
-        signs = _mirror_signs(len(description.fingers)) | dict(task.mirror)
+        signs = dict.fromkeys(("hand_pose", "object_pose", "place_pose"), POSE_MIRROR)
+        signs["fingertips"] = np.tile(POINT_MIRROR, len(description.fingers))
         for name, port in stage.percepts.items():
             operator_inputs[name] = output = _delayed(builder, name, port, scenario)
             if in_mirror and name in signs:
@@ -179,9 +180,3 @@ def _delayed(builder: DiagramBuilder, name: str, port: OutputPort, scenario: Sce
     )
     builder.Connect(port, delay.get_input_port())
     return delay.get_output_port()
-
-
-def _mirror_signs(num_fingers: int) -> dict[str, np.ndarray]:
-    """Returns name of a percept → signs that mirror its poses or points."""
-    poses = dict.fromkeys(("hand_pose", "object_pose", "place_pose"), POSE_MIRROR)
-    return {"fingertips": np.tile(POINT_MIRROR, num_fingers), **poses}

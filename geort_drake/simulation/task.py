@@ -250,7 +250,6 @@ class Task:
         percepts: ports of the judge that the person perceives besides those of the view.
         cases_of: returns the objects, one per trial; None for a task without a choice.
         settings: dataclass of positive numbers for the scenario's `task_settings`; None for a task without.
-        mirror: name of one of these → signs that mirror it for a left hand.
         placing: how the person places the object, if they do, with `hover` and `upright` of a `Transfer`.
         begins_straight: whether the person's fingers are straight at first, because bent ones would collide.
     """
@@ -264,7 +263,6 @@ class Task:
     percepts: tuple[str, ...] = ()
     cases_of: Callable[[], list[str]] | None = None
     settings: type | None = None
-    mirror: Mapping[str, np.ndarray] = dc.field(default_factory=dict)
     placing: Any = None
     begins_straight: bool = False
 

@@ -53,8 +53,8 @@ def _stroke_time(m: Moment) -> float:
 
 
 def _turned(m: Moment) -> float:
-    """Returns the seen turn of the cap, rad, positive in the direction of a stroke."""
-    return float(np.sign(m.goal.stroke) * m.percept.values["positions"][0])
+    """Returns the seen turn of the cap, rad, positive where it unscrews, as strokes do; not mirrored."""
+    return float(m.percept.values["positions"][0])
 
 
 def has_settled(m: Moment) -> str | None:

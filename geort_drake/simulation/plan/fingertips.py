@@ -1,6 +1,6 @@
 """Plans postures of a hand whose fingertips must reach given points."""
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -90,13 +90,11 @@ class FingerPlanner:
                 return False
         return True
 
-    def is_clear(self, q: np.ndarray, p_BQ: np.ndarray, gap: float, ignored: Collection[str] = ()) -> bool:
-        """Whether no links but fingertips and ignored ones are within `gap`, m, of p_BQ (N, 3)."""
+    def is_clear(self, q: np.ndarray, p_BQ: np.ndarray, gap: float) -> bool:
+        """Whether no links but fingertips are within `gap`, m, of p_BQ (N, 3)."""
         query, hand = self.hand.query(q, self._context), self.hand
         return not any(
-            near.distance < gap
-            and not hand.are_tips(near.id_G, near.id_G)
-            and hand.link_of(near.id_G) not in ignored
+            near.distance < gap and not hand.are_tips(near.id_G, near.id_G)
             for p in p_BQ
             for near in query.ComputeSignedDistanceToPoint(p, gap)
         )

@@ -252,5 +252,4 @@ TASK = Task(
     percepts=("positions",),
     begins_straight=True,
     settings=CapSettings,
-    mirror={"positions": np.array([-1.0])},
 )
