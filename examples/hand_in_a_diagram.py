@@ -6,8 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.visualization import AddDefaultVisualization
 
 from geort_drake import RetargetingSystem, add_hand_model, load_hand, load_retargeter
-from geort_drake.live.glove_stream import GloveStream
-from geort_drake.live.transports import open_receiver
+from geort_drake.live.glove_stream import GloveStream, open_glove
 
 hand = load_hand("allegro_right")
 builder = DiagramBuilder()
@@ -19,7 +18,7 @@ plant.set_gravity_enabled(model, False)
 plant.Finalize()
 
 # Frames arrive over ZeroMQ, from your glove or, to try it, from: geort-drake live publish hand.npz --loop
-glove = builder.AddSystem(GloveStream(open_receiver("sub+tcp://127.0.0.1:5556"), "right"))
+glove = builder.AddSystem(GloveStream(open_glove("sub+tcp://127.0.0.1:5556", "right")))
 # The plant tells the joints' order, limits and start.
 retargeting = builder.AddSystem(RetargetingSystem(load_retargeter("allegro_right"), plant, model))
 for name in ("keypoints", "valid"):

@@ -14,9 +14,7 @@ from geort_drake.people.keypoints import mirrored
 
 
 class Inbox:
-    """A receiver into which a test puts messages."""
-
-    refusing = ""
+    """A socket into which a test puts messages."""
 
     def __init__(self, *messages: bytes):
         self.messages = list(messages)

@@ -49,7 +49,7 @@ class LoopBench:
         start = self.model.hand.start, self.model.arm.start
         self.recorder = GloveRecorder(0.01, robot=robot_joints(self.model) if real else None)
         self.loop = make_teleoperation(
-            self.scenario, self.model, retarget, GloveStream(station, "right", clock=Clock()), robot, start,
+            self.scenario, self.model, retarget, GloveStream(station, clock=Clock()), robot, start,
             recorder=self.recorder,
         )  # fmt: skip
         self.simulator = Simulator(self.loop.diagram)

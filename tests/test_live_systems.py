@@ -17,7 +17,7 @@ from system_bench import SystemBench, Watch, joint_plant
 
 from geort_drake import read_recording
 from geort_drake.errors import LiveError, MismatchError, RecordingError
-from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveStream, SenderClock
+from geort_drake.live.glove_stream import MAX_LATENESS_S, GloveReceiver, GloveStream, SenderClock
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.session import STEADY_S, EnterKey, SteadyState, play, run_in_real_time
 from geort_drake.live.teleoperation import DelayMeter
@@ -40,7 +40,8 @@ class StreamBench(SystemBench):
 
     def __init__(self, *messages):
         self.inbox, self.clock = Inbox(*messages), Clock()
-        self.stream = GloveStream(self.inbox, "right", clock=self.clock)
+        self.glove = GloveReceiver(self.inbox, "right")
+        self.stream = GloveStream(self.glove, clock=self.clock)
         super().__init__(self.stream, 0.004, 1.0)
 
     def after(self, *messages) -> dict:
@@ -66,14 +67,14 @@ def test_the_stream_gives_the_newest_frame_and_holds_it():
     assert lost["valid"] == 0
     assert lost["stamp"] == PLAY.t[8]
     np.testing.assert_array_equal(lost["keypoints"], PLAY.p_HK[7].astype(float).ravel())
-    bad = bench.after(message(9), b"{}", message(9, side="left"))
+    bad = bench.after(message(9), message(9, side="left"), b"{}")
     assert bad["stamp"] == PLAY.t[9]
-    assert (bench.stream.received, bench.stream.refused) == (3, 2)
+    assert (bench.glove.received, bench.glove.refused) == (4, 2)
     assert bench.after(message(10, X_WH=[0.9, 0, 0, 0, 1, 2, 3]))["valid"] == 1
-    assert "missing required field `format`" in bench.stream.last_refusal
-    assert bench.stream.refusing == ""
+    assert "missing required field `format`" in bench.glove.last_refusal
+    assert bench.glove.refusing == ""
     bench.after(message(11, side="left"))
-    assert "a left hand is sent" in bench.stream.refusing
+    assert "a left hand is sent" in bench.glove.refusing
 
 
 def test_a_stamp_of_this_machines_clock_gives_the_time_of_sending():
@@ -205,11 +206,11 @@ def test_frames_that_are_really_late_stay_late(name, rate_hz, link):
     assert (late[round(22 * count) :] > MAX_LATENESS_S).all()
 
 
-def served(*batches: list[bytes]) -> GloveStream:
-    """A stream to which messages arrive in batches."""
-    bench = StreamBench()
-    bench.inbox.drain = iter(batches).__next__
-    return bench.stream
+def served(*batches: list[bytes]) -> GloveReceiver:
+    """A glove whose messages arrive in batches."""
+    inbox = Inbox()
+    inbox.drain = iter(batches).__next__
+    return GloveReceiver(inbox, "right")
 
 
 def hands(points: np.ndarray) -> list[list[bytes]]:
@@ -221,15 +222,15 @@ def test_the_handshake_waits_for_a_hand():
 
     Another kind of glove is refused without waiting for the timeout.
     """
-    stream = served([b"{}"], *hands(PLAY.p_HK[::60].astype(float)))
-    stream.handshake(timeout_s=20.0)
-    assert stream.refused == 1
+    glove = served([b"{}"], *hands(PLAY.p_HK[::60].astype(float)))
+    glove.handshake(timeout_s=20.0)
+    assert glove.refused == 1
     with pytest.raises(LiveError, match=r"no hand came from the glove within 0.01 s$"):
-        StreamBench().stream.handshake(timeout_s=0.01)
+        GloveReceiver(Inbox(), "right").handshake(timeout_s=0.01)
     with pytest.raises(LiveError, match=r"1 messages were refused, the last: glove message: Object missing"):
-        StreamBench(b"{}").stream.handshake(timeout_s=0.01)
+        GloveReceiver(Inbox(b"{}"), "right").handshake(timeout_s=0.01)
     with pytest.raises(MismatchError, match="a left hand is sent"):
-        StreamBench(message(0, side="left")).stream.handshake(timeout_s=1e6)
+        GloveReceiver(Inbox(message(0, side="left")), "right").handshake(timeout_s=1e6)
 
 
 @pytest.mark.parametrize(

@@ -279,7 +279,6 @@ def test_a_session_is_engaged_recorded_and_reset_from_the_page(tmp_path):
     assert scenes == {1, 2, 3, 4}
     report = json.loads(out)
     assert report["states"]["tracking"] > 0.5 and report["glove"]["received"] > 50
-    assert report["glove"]["clock_offset_s"] is None and "time stamp" not in log
     (file,) = (tmp_path / "runs" / "live").glob("*.npz")
     recording = Recording.load(file)
     assert recording.valid.sum() > 50

@@ -81,12 +81,12 @@ class Live(Command, ScenarioOptions):
             retargeter_of,
             say_state,
         )
-        from geort_drake.live.glove_stream import GloveStream
+        from geort_drake.live.glove_stream import GloveStream, open_glove
         from geort_drake.live.robot_buses import open_bus
         from geort_drake.live.robots import RobotLink, SimulatedRobot, open_meshcat
         from geort_drake.live.session import EnterKey, run_session, stopping
         from geort_drake.live.teleoperation import make_teleoperation
-        from geort_drake.live.transports import is_address, open_receiver
+        from geort_drake.live.transports import is_address
         from geort_drake.people.recording_log import RecordingLog, recover
         from geort_drake.simulation.following import robot_model
         from geort_drake.systems.glove import GloveRecorder
@@ -117,8 +117,10 @@ class Live(Command, ScenarioOptions):
 
                 return run_web(self, scenario, description, link)
             if is_address(self.glove):
-                receiver = stack.enter_context(contextlib.closing(open_receiver(self.glove)))
-                glove = GloveStream(receiver, side, self.glove_id)
+                receiver = stack.enter_context(
+                    contextlib.closing(open_glove(self.glove, side, self.glove_id))
+                )
+                glove = GloveStream(receiver)
             else:
                 glove = GloveReplay(read_recording(self.glove, side))
                 duration = min(duration, glove.duration)
@@ -132,7 +134,7 @@ class Live(Command, ScenarioOptions):
                 stack.callback(log.finish)
                 stack.callback(recorder.switch, None)
             if receiver:
-                glove.handshake(self.timeout)
+                receiver.handshake(self.timeout)
             if link is None:
                 robot = SimulatedRobot(scenario, model, open_meshcat() if self.meshcat else None)
                 start = model.hand.start, model.arm.start

@@ -1,13 +1,11 @@
 """Shared by all sessions of `geort-drake live`: loading the map, messages and the report."""
 
-import math
 from pathlib import Path
 from typing import Any
 
 from geort_drake.console import console, say, warn
 from geort_drake.hands.description import HandDescription
 from geort_drake.hands.hand import Hand
-from geort_drake.live.glove_stream import NOTABLE_DRIFT
 from geort_drake.live.robots import RobotLink
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.methods import default_method, names_of, resolve
@@ -47,12 +45,10 @@ def add_counts(summary: dict[str, Any], loop: Teleoperation, link: RobotLink | N
     if (meter := loop.meter) is not None:
         glove = loop.glove
         summary["glove"] = {
-            "received": glove.received,
-            "refused": glove.refused,
-            "last_refusal": glove.last_refusal or None,
+            "received": glove.source.received,
+            "refused": glove.source.refused,
+            "last_refusal": glove.source.last_refusal or None,
             "late": glove.late,
-            "clock_offset_s": offset if math.isfinite(offset := glove.sender_clock.offset) else None,
-            "largest_clock_drift": glove.largest_drift,
         }
         summary["delay_s"] = meter.delay()
     if link:
@@ -68,11 +64,6 @@ def print_summary(summary: dict) -> None:
         say(
             f"glove: {counts['received']} frames received, {counts['refused']} refused, {counts['late']} late"
         )
-        if counts["clock_offset_s"] is not None:
-            say(f"glove: the fastest frame arrived {counts['clock_offset_s']:.3f} s after its time stamp")
-        if counts["largest_clock_drift"] > NOTABLE_DRIFT:
-            drift = 100 * counts["largest_clock_drift"]
-            warn(f"glove: its clock ran up to {drift:.1f} % slow; its time stamps were corrected")
     for name in ("glove", "robot"):
         if reason := summary.get(name, {}).get("last_refusal"):
             warn(f"{name}: {summary[name]['refused']} messages were refused, the last: {reason}")

@@ -71,10 +71,7 @@ def run_web(options: Any, scenario: Scenario, description: HandDescription, link
         finally:
             control.close()
     add_counts(summary, loop, link)
-    # A page's clock starts when the page is loaded, so its offset is meaningless.
-    counts = {"received": station.received, "refused": station.refused + server.dropped}
-    reason = {"last_refusal": station.last_refusal or None}
-    summary["glove"] |= {**counts, **reason, "clock_offset_s": None, "largest_clock_drift": 0.0}
+    summary["glove"]["refused"] += server.dropped
     print_summary(summary)
     if control.recordings:
         last = control.recordings[-1]

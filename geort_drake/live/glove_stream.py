@@ -4,7 +4,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.messages import GloveFrame, decode
-from geort_drake.live.transports import Receiver, wait_for
+from geort_drake.live.transports import ZmqSocket, open_receiver, wait_for
 from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.systems.port_values import vector_to_pose
 from geort_drake.systems.python_system import PythonSystem
@@ -25,7 +25,7 @@ _SAME_CLOCK_S = 1.0
 # A frame that took this much longer than the fastest one is late, s.
 MAX_LATENESS_S = 0.2
 # A sender's clock that runs slow by more than this is reported, s/s.
-NOTABLE_DRIFT = 0.005
+_NOTABLE_DRIFT = 0.005
 HANDSHAKE_FRAMES = 5
 
 # Fields of the state, which are named like their ports.
@@ -41,11 +41,98 @@ _FIELDS = np.dtype(
 )
 
 
+class GloveSource(Protocol):
+    """Where the frames of a glove come from.
+
+    Attributes:
+        received, refused: number of frames, and of messages that could not be used.
+        last_refusal: why the last of them could not be used.
+        refusing: why the newest message was refused, or "".
+    """
+
+    received: int
+    refused: int
+    last_refusal: str
+    refusing: str
+
+    def drain(self) -> list[GloveFrame]:
+        """Returns the frames since the last call, oldest first; does not wait."""
+
+
+class GloveReceiver:
+    """A `GloveSource` that decodes messages, and drops and counts those that cannot be used.
+
+    Args:
+        socket: source of the messages.
+        side: "right" or "left", of the robot's hand.
+        glove_id: serial number of the MANUS glove to read, if there are several.
+    """
+
+    def __init__(self, socket: ZmqSocket, side: str, glove_id: str | None = None):
+        self._socket, self._side, self._glove_id = socket, side, glove_id
+        self.received = self.refused = 0
+        self.last_refusal = self.refusing = ""
+
+    def drain(self, tolerant: bool = True) -> list[GloveFrame]:
+        """Returns the frames since the last call, oldest first; does not wait.
+
+        Raises:
+            MismatchError: another version, unit or hand, unless `tolerant`.
+        """
+        frames = []
+        for message in self._socket.drain():
+            try:
+                frame = decode(message, self._side, self._glove_id)
+            except LiveError as error:
+                if isinstance(error, MismatchError) and not tolerant:
+                    raise
+                self.refused += 1
+                self.last_refusal = self.refusing = str(error)
+                continue
+            if frame is not None:
+                frames.append(frame)
+                self.refusing = ""
+        self.received += len(frames)
+        return frames
+
+    def handshake(self, timeout_s: float) -> None:
+        """Waits for the first frames and checks that they show a hand of the robot's side.
+
+        Raises:
+            MismatchError: another version, unit or hand.
+            RecordingError: the keypoints are no hand, or not in the expected frame, order or unit.
+            LiveError: no usable frame came in time; the message says what was refused.
+        """
+        hands: list[np.ndarray] = []
+
+        def poll() -> bool | None:
+            hands.extend(frame.p_HK for frame in self.drain(tolerant=False) if frame.p_HK is not None)
+            return True if len(hands) >= HANDSHAKE_FRAMES else None
+
+        wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
+        require_wrist_frame_hand(np.stack(hands), "the glove")
+
+    def close(self) -> None:
+        self._socket.close()
+
+    def _silence(self, timeout_s: float) -> str:
+        refused = f"; {self.refused} messages were refused, the last: {self.last_refusal}"
+        return f"no hand came from the glove within {timeout_s:g} s" + (refused if self.refused else "")
+
+
+def open_glove(address: str, side: str, glove_id: str | None = None) -> GloveReceiver:
+    """Connects to a glove's address, see `transports` and `GloveReceiver`.
+
+    Raises:
+        LiveError: the address is malformed.
+    """
+    return GloveReceiver(open_receiver(address), side, glove_id)
+
+
 class GloveStream(PythonSystem):
     """Outputs the newest frame received from a glove until the next one arrives.
 
-    Messages are read in a discrete update every `POLL_PERIOD`. A message that cannot be used is dropped and
-    counted.
+    Frames are read in a discrete update every `POLL_PERIOD`.
 
     Output ports:
         keypoints (63): p_HK, keypoint-major, m, wrist frame H.
@@ -62,32 +149,20 @@ class GloveStream(PythonSystem):
     State: the values of the ports.
 
     Attributes:
-        received: number of frames used.
-        late: number of those that came late.
-        refused: number of messages that could not be used.
-        last_refusal: why the last of them could not be used.
+        source: where the frames come from.
+        late: number of frames that came late.
         sender_clock: estimate of the sender's clock.
-        largest_drift: by how much the sender's clock ran slow at most, s/s.
 
     Args:
-        receiver: source of the messages.
-        side: "right" or "left", of the robot's hand.
-        glove_id: serial number of the MANUS glove to read, if there are several.
+        source: where the frames come from.
         clock: this machine's monotonic clock, s.
     """
 
-    def __init__(
-        self,
-        receiver: Receiver,
-        side: str,
-        glove_id: str | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ):
+    def __init__(self, source: GloveSource, clock: Callable[[], float] = time.monotonic):
         super().__init__()
-        self._receiver, self._side, self._glove_id, self._now = receiver, side, glove_id, clock
-        self.received = self.refused = self.late = self._arrivals = 0
-        self.sender_clock, self.largest_drift = SenderClock(), 0.0
-        self.last_refusal = self._refusing = ""
+        self.source, self._now = source, clock
+        self.late = 0
+        self.sender_clock = SenderClock()
         start = np.zeros(1, _FIELDS)
         start["wrist_pose"][0, 0], start["sent"] = 1.0, math.nan
         self._state = self.DeclareDiscreteState(start.view(float))
@@ -108,15 +183,10 @@ class GloveStream(PythonSystem):
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, POLL_PERIOD - _AHEAD, self._update)
 
     @property
-    def refusing(self) -> str:
-        """Why the newest message was refused, or "" if it was used."""
-        return self._refusing or self._receiver.refusing
-
-    @property
     def notice(self) -> str:
         """What the person should know of the sender's clock, or ""."""
         drift, growth = self.sender_clock.drift, self.sender_clock.growth
-        if drift >= NOTABLE_DRIFT:
+        if drift >= _NOTABLE_DRIFT:
             return f"the glove's clock runs {100 * drift:.0f} % slow; its time stamps are corrected"
         if growth >= _NOTABLE_GROWTH:
             return (
@@ -125,61 +195,18 @@ class GloveStream(PythonSystem):
             )
         return ""
 
-    def handshake(self, timeout_s: float) -> None:
-        """Waits for the first frames and checks that they show a hand of the robot's side.
-
-        Raises:
-            MismatchError: another version, unit or hand.
-            RecordingError: the keypoints are no hand, or not in the expected frame, order or unit.
-            LiveError: no usable frame came in time; the message says what was refused.
-        """
-        hands: list[np.ndarray] = []
-
-        def poll() -> bool | None:
-            frame = self._newest(at_handshake=True)
-            if frame is not None and frame.p_HK is not None:
-                hands.append(frame.p_HK)
-            return True if len(hands) >= HANDSHAKE_FRAMES else None
-
-        wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
-        require_wrist_frame_hand(np.stack(hands), "the glove")
-
-    def _silence(self, timeout_s: float) -> str:
-        refused = f"; {self.refused} messages were refused, the last: {self.last_refusal}"
-        return f"no hand came from the glove within {timeout_s:g} s" + (refused if self.refused else "")
-
-    def _newest(self, at_handshake: bool = False) -> GloveFrame | None:
-        """Returns the newest usable frame that has arrived; skips older ones."""
-        messages = self._receiver.drain()
-        self._arrivals += len(messages)
-        for message in reversed(messages):
-            try:
-                frame = decode(message, self._side, self._glove_id)
-            except LiveError as error:
-                if at_handshake and isinstance(error, MismatchError):
-                    raise
-                self.refused += 1
-                self.last_refusal = self._refusing = str(error)
-                continue
-            if frame is not None:
-                self.received += 1
-                self._refusing = ""
-                return frame
-        return None
-
     def _value(self, context: Context) -> np.void:
         return context.get_discrete_state(self._state).value().view(_FIELDS)[0]
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        frame = self._newest()
-        if frame is None:
+        frames = self.source.drain()
+        if not frames:
             return EventStatus.DidNothing()
+        frame = frames[-1]
         arrival = self._now()
         stamp = arrival if frame.time is None else frame.time
         sent = stamp if abs(arrival - stamp) < _SAME_CLOCK_S else arrival
-        lateness = self.sender_clock.lateness(arrival, stamp, self._arrivals)
-        self._arrivals = 0
-        self.largest_drift = max(self.largest_drift, self.sender_clock.drift)
+        lateness = self.sender_clock.lateness(arrival, stamp, len(frames))
         self.late += lateness > MAX_LATENESS_S
         value = discrete_state.get_mutable_value(self._state).view(_FIELDS)[0]  # starts as the present one
         if frame.p_HK is not None:

@@ -27,7 +27,7 @@ from typing import Annotated, Generic, Literal, TypeVar
 import msgspec
 
 from geort_drake.errors import LiveError
-from geort_drake.live.transports import ZmqReceiver, ZmqSender, decode_json, split_address
+from geort_drake.live.transports import ZmqSocket, decode_json, split_address
 
 MAX_HOLD_AFTER = 1.0  # s; a robot that moves on for longer without its sender is out of control
 
@@ -120,7 +120,7 @@ class Bus(Generic[Outgoing, Incoming]):
 class ZmqBus(Bus[Outgoing, Incoming]):
     """JSON over a pair of ZeroMQ sockets; see `open_zmq_bus` and `open_driver_bus`."""
 
-    def __init__(self, sender: ZmqSender, receiver: ZmqReceiver, decode: Callable[[bytes], Incoming]):
+    def __init__(self, sender: ZmqSocket, receiver: ZmqSocket, decode: Callable[[bytes], Incoming]):
         super().__init__()
         self._sender, self._receiver = sender, receiver
         self._decode: Callable[[bytes], Incoming] = decode
@@ -142,9 +142,9 @@ def open_zmq_bus(endpoint: str) -> ZmqBus[JointTargets, JointState]:
     Raises:
         LiveError: an endpoint is in use.
     """
-    sender = ZmqSender("pub", endpoint)
+    sender = ZmqSocket("pub", endpoint, binds=True)
     try:
-        receiver = ZmqReceiver("pull", status_endpoint(endpoint), binds=True)
+        receiver = ZmqSocket("pull", status_endpoint(endpoint), binds=True)
     except LiveError:
         sender.close()
         raise
@@ -158,8 +158,8 @@ def open_driver_bus(endpoint: str) -> ZmqBus[JointState, JointTargets]:
         LiveError: the endpoint is malformed.
     """
     split_address(f"zmq+{endpoint}", ("zmq",))
-    sender = ZmqSender("push", status_endpoint(endpoint), binds=False)
-    return ZmqBus(sender, ZmqReceiver("sub", endpoint), decode_targets)
+    sender = ZmqSocket("push", status_endpoint(endpoint), binds=False)
+    return ZmqBus(sender, ZmqSocket("sub", endpoint, binds=False), decode_targets)
 
 
 def status_endpoint(endpoint: str) -> str:

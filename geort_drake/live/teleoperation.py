@@ -129,8 +129,8 @@ class Teleoperation:
         state = _eval(self.watchdog, "state", root)
         if not self.following(root):
             if isinstance(self.glove, GloveStream):
-                if self.glove.refusing:
-                    return f"{state}; messages arrive but are refused: {self.glove.refusing}"
+                if self.glove.source.refusing:
+                    return f"{state}; messages arrive but are refused: {self.glove.source.refusing}"
                 if state == HELD_LOST and _eval(self.glove, "lateness", root)[0] > MAX_LATENESS_S:
                     return HELD_LATE
             return state

@@ -1,4 +1,4 @@
-"""Receivers and senders of byte messages over ZeroMQ, and addresses of ZeroMQ and LCM:
+"""Sockets of ZeroMQ, messages of JSON, and addresses of ZeroMQ and LCM:
 
     sub+tcp://HOST:PORT     ZeroMQ, subscribes to a publisher, whose address is pub+tcp://…
     pull+tcp://HOST:PORT    ZeroMQ, pulls from a pusher, as most MANUS bridges are: push+tcp://…
@@ -15,7 +15,7 @@ import ipaddress
 import re
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import zmq
@@ -36,31 +36,18 @@ _FORMS = {
 _MAX_AT_ONCE = 100  # most messages read in one call, so that a flood cannot block a loop
 
 
-class Receiver(Protocol):
-    """Receives messages.
-
-    Attributes:
-        refusing: why the receiver itself refused the newest message, or "".
-    """
-
-    refusing: str
-
-    def drain(self) -> list[bytes]:
-        """Returns the messages since the last call, oldest first; does not wait."""
-
-
-def open_receiver(address: str) -> "ZmqReceiver":
+def open_receiver(address: str) -> "ZmqSocket":
     """Connects to a glove's address; a LiveError says if it is malformed."""
-    return ZmqReceiver(*split_address(address, _RECEIVERS))
+    return ZmqSocket(*split_address(address, _RECEIVERS), binds=False)
 
 
-def open_sender(address: str) -> "ZmqSender":
+def open_sender(address: str) -> "ZmqSocket":
     """Binds to an address to which receivers of a glove connect.
 
     Raises:
         LiveError: the address is malformed or in use.
     """
-    return ZmqSender(*split_address(address, _SENDERS))
+    return ZmqSocket(*split_address(address, _SENDERS), binds=True)
 
 
 def is_address(text: str) -> bool:
@@ -131,59 +118,29 @@ def decode_json(
         raise LiveError(f"{name}: {error!s:.120}") from None
 
 
-class _ZmqSocket:
-    """A ZeroMQ socket with short queues and a size limit that closes without waiting."""
+class ZmqSocket:
+    """A ZeroMQ socket with short queues and a size limit that closes without waiting.
 
-    def __init__(self, pattern: str):
+    It connects, at once or when the other end starts, or it binds. It drops what it sends to nobody.
+    """
+
+    def __init__(self, pattern: str, endpoint: str, binds: bool):
         # One context for the process: a context of its own waits for ever if it is freed before its socket.
         self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(getattr(zmq, pattern.upper()))
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.RCVHWM, _MAX_AT_ONCE)
         self._socket.setsockopt(zmq.SNDHWM, 2)
+        # Without it, a queue keeps the oldest messages for a receiver that starts much later.
+        self._socket.setsockopt(zmq.IMMEDIATE, 1)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_BYTES)  # disconnects a peer that sends more
-
-    def _open(self, endpoint: str, binds: bool) -> None:
+        if pattern == "sub":
+            self._socket.subscribe(b"")
         try:
             (self._socket.bind if binds else self._socket.connect)(endpoint)
         except zmq.ZMQError as error:
             self.close()
             what = "listen" if binds else "connect"
             raise LiveError(f"{endpoint}: cannot {what} there: {error}") from None
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-class ZmqReceiver(_ZmqSocket):
-    """A SUB or PULL socket that connects to a sender, at once or when the sender starts, or binds."""
-
-    refusing = ""  # it refuses nothing
-
-    def __init__(self, pattern: str, endpoint: str, binds: bool = False):
-        super().__init__(pattern)
-        if pattern == "sub":
-            self._socket.subscribe(b"")
-        self._open(endpoint, binds)
-
-    def drain(self) -> list[bytes]:
-        messages: list[bytes] = []
-        try:
-            while len(messages) < _MAX_AT_ONCE:
-                # The last part of a multipart message is the payload; earlier parts are topics.
-                messages.append(self._socket.recv_multipart(zmq.NOBLOCK)[-1])
-        except zmq.Again:
-            pass
-        return messages
-
-
-class ZmqSender(_ZmqSocket):
-    """A PUB or PUSH socket that binds or connects; messages without a receiver are dropped."""
-
-    def __init__(self, pattern: str, endpoint: str, binds: bool = True):
-        super().__init__(pattern)
-        # Without it, a queue keeps the oldest messages for a receiver that starts much later.
-        self._socket.setsockopt(zmq.IMMEDIATE, 1)
-        self._open(endpoint, binds)
 
     @property
     def endpoint(self) -> str:
@@ -194,7 +151,21 @@ class ZmqSender(_ZmqSocket):
         try:
             self._socket.send(message, zmq.NOBLOCK)
         except zmq.Again:
-            pass  # a late glove frame is useless
+            pass  # a late message is useless
+
+    def drain(self) -> list[bytes]:
+        """Returns the messages since the last call, oldest first; does not wait."""
+        messages: list[bytes] = []
+        try:
+            while len(messages) < _MAX_AT_ONCE:
+                # The last part of a multipart message is the payload; earlier parts are topics.
+                messages.append(self._socket.recv_multipart(zmq.NOBLOCK)[-1])
+        except zmq.Again:
+            pass
+        return messages
+
+    def close(self) -> None:
+        self._socket.close()
 
 
 def wait_for(poll: Callable[[], Any], timeout_s: float, message: Callable[[], str]) -> Any:

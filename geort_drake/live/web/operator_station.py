@@ -12,7 +12,7 @@ import numpy as np
 
 from geort_drake.errors import GeortError, LiveError, MismatchError
 from geort_drake.live.glove_stream import HANDSHAKE_FRAMES
-from geort_drake.live.messages import GloveFrame, encode_frame
+from geort_drake.live.messages import GloveFrame
 from geort_drake.live.web.hands import HandReader, PointerHand, RecordedHand
 from geort_drake.live.web.messages import (
     VERSION,
@@ -81,7 +81,7 @@ class Operator:
 
 
 class OperatorStation:
-    """Lets one page operate the robot while others watch; the `Receiver` of the loop.
+    """Lets one page operate the robot while others watch; the `GloveSource` of the loop.
 
     The server's thread calls `join`, `take` and `leave`; the loop's calls `drain` and reads `commands`.
 
@@ -118,7 +118,7 @@ class OperatorStation:
         self.fist = 0.0
         self.p_HK: np.ndarray | None = None
         self.simulated_person = False
-        self._hands: deque[bytes] = deque(maxlen=_MAX_HANDS)
+        self._hands: deque[GloveFrame] = deque(maxlen=_MAX_HANDS)
         self._people: set[int] = set()
 
     @property
@@ -132,8 +132,8 @@ class OperatorStation:
         operator = self.operator
         return 0.0 if operator is None else operator.reader.delay
 
-    def drain(self) -> list[bytes]:
-        """Returns the hands since the last call as glove messages, oldest first."""
+    def drain(self) -> list[GloveFrame]:
+        """Returns the hands since the last call, oldest first."""
         operator, play = self.operator, self._recorded_play
         if operator is not None and operator.device == "recording" and play is not None:
             now = self._clock()
@@ -238,7 +238,7 @@ class OperatorStation:
         # A fist counts as a command only of a person who is seen.
         if operator.device in ("camera", "headset", "scripted"):
             self._watch_fist(operator)
-        self._hands.append(encode_frame(frame))
+        self._hands.append(frame)
         self.received += frame.p_HK is not None
 
     def _check_first_hands(

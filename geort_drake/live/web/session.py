@@ -224,7 +224,7 @@ class WebTeleoperation:
             scenario,
             model,
             self.setup.retarget,
-            GloveStream(self.station, description.side),
+            GloveStream(self.station),
             robot,
             start,
             self.relax_after,
