@@ -204,14 +204,14 @@ def test_a_full_disk_ends_the_recording_in_words_and_keeps_its_log(tmp_path, mon
 
 @pytest.mark.parametrize("answer", ["", "\n", "no\n", "yess\n"])
 def test_a_page_moves_a_real_robot_only_after_a_yes_in_the_terminal(answer, monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("geort_drake.cli.live_web.find_page", lambda: tmp_path)
+    monkeypatch.setattr("geort_drake.cli.live_session.find_page", lambda: tmp_path)
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
     assert main(["live", "--robot", "lcm", "--no-open"]) == 2
     assert "only if you answer yes" in capsys.readouterr().err
 
 
 def test_a_page_warns_of_a_robot_that_the_network_reaches(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr("geort_drake.cli.live_web.find_page", lambda: tmp_path)
+    monkeypatch.setattr("geort_drake.cli.live_session.find_page", lambda: tmp_path)
     monkeypatch.setattr("sys.stdin", io.StringIO("no\n"))
     address = "lcm+udpm://239.255.76.67:7667?ttl=1"
     assert main(["live", "--robot", address, "--no-open"]) == 2

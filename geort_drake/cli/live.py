@@ -1,6 +1,5 @@
 """Commands that drive a robot or its simulation live, and stand in for a glove or a robot."""
 
-import contextlib
 import math
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,14 +11,11 @@ from geort_drake.cli.base import (
     Json,
     ScenarioOptions,
     Side,
-    command,
-    finish,
     methods_epilog,
     options,
     require,
-    write_json,
 )
-from geort_drake.errors import OutputError, UsageError
+from geort_drake.errors import UsageError
 
 
 @options
@@ -73,23 +69,7 @@ class Live(Command, ScenarioOptions):
     epilog = staticmethod(methods_epilog)
 
     def run(self) -> int:
-        from geort_drake import GloveReplay, load_hand, read_recording
-        from geort_drake.cli.live_session import (
-            add_counts,
-            print_keys,
-            print_summary,
-            retargeter_of,
-            say_state,
-        )
-        from geort_drake.live.glove_stream import GloveStream, open_glove
-        from geort_drake.live.robot_buses import open_bus
-        from geort_drake.live.robots import RobotLink, SimulatedRobot, open_meshcat
-        from geort_drake.live.session import EnterKey, run_session, stopping
-        from geort_drake.live.teleoperation import make_teleoperation
-        from geort_drake.live.transports import is_address
-        from geort_drake.people.recording_log import RecordingLog, recover
-        from geort_drake.simulation.following import robot_model
-        from geort_drake.systems.glove import GloveRecorder
+        from geort_drake.cli.live_session import run_live
 
         for option in ("relax_after", "duration", "timeout", "robot_silence"):
             value = getattr(self, option)
@@ -97,77 +77,7 @@ class Live(Command, ScenarioOptions):
         require(0 <= self.port < 65536, "--port", "a port from 0 to 65535", self.port)
         if self.meshcat and self.robot != "simulation":
             raise UsageError("--meshcat shows the simulation; give it to `geort-drake live stand-in-robot`")
-        if self.record is not None and self.glove != "web":
-            recover(self.record.parent)
-        if self.record is not None and self.record.is_file():
-            raise OutputError(f"{self.record} exists; choose another file for the recording")
-        scenario = self.load_scenario()
-        description = load_hand(scenario.hand)
-        side, duration = description.side, self.duration
-        address = None if self.robot == "simulation" else self.robot
-        model = robot_model(scenario, description)
-        with contextlib.ExitStack() as stack:
-            link = receiver = None
-            if address:
-                bus = stack.enter_context(contextlib.closing(open_bus(address, description)))
-                link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
-            _warn_of_open_addresses(self.glove if is_address(self.glove) else None, address)
-            if self.glove == "web":
-                from geort_drake.cli.live_web import run_web
-
-                return run_web(self, scenario, description, link)
-            if is_address(self.glove):
-                receiver = stack.enter_context(
-                    contextlib.closing(open_glove(self.glove, side, self.glove_id))
-                )
-                glove = GloveStream(receiver)
-            else:
-                glove = GloveReplay(read_recording(self.glove, side))
-                duration = min(duration, glove.duration)
-            retarget, _ = retargeter_of(self.retargeter, description)
-            recorder = None
-            if self.record:
-                log = RecordingLog(self.record, {"side": side, "source": "teleoperation"})
-                recorder = GloveRecorder(scenario.retargeting.period)
-                recorder.switch(log)
-                # The recording is finished even if the session ends with an error.
-                stack.callback(log.finish)
-                stack.callback(recorder.switch, None)
-            if receiver:
-                receiver.handshake(self.timeout)
-            if link is None:
-                robot = SimulatedRobot(scenario, model, open_meshcat() if self.meshcat else None)
-                start = model.hand.start, model.arm.start
-            else:
-                robot, start = link, link.handshake(self.timeout)
-            loop = make_teleoperation(
-                scenario,
-                model,
-                retarget,
-                glove,
-                robot,
-                start,
-                self.relax_after,
-                recorder,
-            )
-            engaged = self.engage == "now"
-            print_keys("" if engaged else "Enter engages and disengages. ")
-            with stopping() as stop:
-                summary = run_session(
-                    loop,
-                    engaged,
-                    None if engaged else EnterKey(),
-                    duration,
-                    stop.is_set,
-                    lambda: link.require_alive(self.robot_silence) if link else None,
-                    say_state,
-                )
-        add_counts(summary, loop, link)
-        print_summary(summary)
-        if self.record and self.record.is_file():
-            finish({"Recording": self.record}, command("grasp", recording=self.record))
-        write_json(self.json, summary)
-        return 0
+        return run_live(self)
 
 
 @options
@@ -247,21 +157,3 @@ class StandInRobot(Command, ScenarioOptions):
         if late:
             warn(f"the simulation was slower than real time {late} times")
         return 0
-
-
-def _warn_of_open_addresses(glove: str | None, robot: str | None) -> None:
-    """Warns of addresses through which other machines can move the robot."""
-    from geort_drake.console import warn
-    from geort_drake.live.transports import is_local, split_address
-
-    for address in (glove, robot):
-        if address and not is_local(address):
-            warn(f"{address} is open to the network; anyone in it can move the robot")
-    if robot and robot.startswith("lcm") and is_local(robot):
-        url = split_address(robot, ["lcm"])[1]
-        group = url.removeprefix("udpm://").partition(":")[0]
-        warn(
-            f"unless {group} is routed to loopback, {url} is also heard from the network, and anyone in it "
-            f"can move the robot. To route it: sudo ip link set lo multicast on && sudo ip route add {group} "
-            "dev lo"
-        )

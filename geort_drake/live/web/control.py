@@ -246,7 +246,6 @@ class PageControl:
             "fist": station.fist if self._fist_counts(engaged) else 0.0,
             "outcome": outcome,
             "delay": self._delay(),
-            "filter_delay": station.filter_delay,
             "received": station.received,
             "refused": station.refused,
             "late": self.loop.late,

@@ -50,11 +50,6 @@ class HandReader:
         self._side, self._length = side, hand_length
         self._filter = OneEuroFilter(_CUTOFF_HZ, _SLOPE)
 
-    @property
-    def delay(self) -> float:
-        """Mean delay of the filter at the last hand, s."""
-        return self._filter.delay
-
     def read(self, message: Camera | Headset) -> GloveFrame:
         """Returns the frame of a hand.
 
@@ -128,9 +123,6 @@ class OneEuroFilter:
     Speed-based Low-pass Filter for Noisy Input in Interactive Systems", CHI 2012,
     https://doi.org/10.1145/2207676.2208639
 
-    Attributes:
-        delay: mean delay of slow motion at the cutoffs of the last points, s.
-
     Args:
         cutoff: cutoff at rest, Hz.
         slope: growth of the cutoff with speed, Hz per m/s.
@@ -142,20 +134,18 @@ class OneEuroFilter:
 
     def reset(self) -> None:
         """Forgets all points."""
-        self.delay = 0.0
         self._time: float | None = None
 
     def __call__(self, time: float, p: np.ndarray) -> np.ndarray:
         """Returns filtered points p (n, 3), m; resets the filter unless `time`, s, is later than the last."""
         if self._time is None or time <= self._time:
-            self._p, self._v, self.delay = p, np.zeros_like(p), 0.0
+            self._p, self._v = p, np.zeros_like(p)
         else:
             step = time - self._time
             self._v = self._v + _weight(np.array(_SPEED_CUTOFF_HZ), step) * ((p - self._p) / step - self._v)
             speed = np.linalg.norm(self._v, axis=-1, keepdims=True)
             cutoff = self._cutoff + self._slope * speed
             self._p = self._p + _weight(cutoff, step) * (p - self._p)
-            self.delay = float(np.mean(1.0 / (2.0 * math.pi * cutoff)))
         self._time = time
         return self._p
 

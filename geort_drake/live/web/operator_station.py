@@ -126,12 +126,6 @@ class OperatorStation:
         """Number of pages that only watch."""
         return len(self._people) - (self.operator is not None)
 
-    @property
-    def filter_delay(self) -> float:
-        """Mean delay of the filter at the last hand, s."""
-        operator = self.operator
-        return 0.0 if operator is None else operator.reader.delay
-
     def drain(self) -> list[GloveFrame]:
         """Returns the hands since the last call, oldest first."""
         operator, play = self.operator, self._recorded_play

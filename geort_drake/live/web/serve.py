@@ -1,7 +1,6 @@
 """Opens the page's server, with a certificate if other machines reach it, and the page in the browser."""
 
 import datetime as dt
-import importlib
 import ipaddress
 import os
 import secrets
@@ -12,14 +11,15 @@ import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from geort_drake.console import say, warn
 from geort_drake.errors import LiveError
 from geort_drake.live.web.operator_station import OperatorStation
-
-if TYPE_CHECKING:
-    from geort_drake.live.web.server import WebServer
+from geort_drake.live.web.server import WebServer
 
 _LIFETIME = dt.timedelta(days=2)  # of the certificate
 _PAGE = Path(__file__).parent / "static"
@@ -28,7 +28,7 @@ _PAGE = Path(__file__).parent / "static"
 @contextmanager
 def open_server(
     station: OperatorStation, page: Path, host: str, port: int, browser: bool
-) -> "Iterator[WebServer]":
+) -> Iterator[WebServer]:
     """Yields a server and prints its address, which contains its key; closes it at the end.
 
     Args:
@@ -38,12 +38,8 @@ def open_server(
         browser: whether to open the browser, if there is a display.
 
     Raises:
-        LiveError: the server cannot listen there, or aiohttp or cryptography is not installed.
+        LiveError: the server cannot listen there.
     """
-    try:
-        from geort_drake.live.web.server import WebServer
-    except ImportError:
-        raise LiveError("the page needs aiohttp: pip install 'geort-drake[live]'") from None
     hosts = host_names(host)
     tls = None if is_loopback(host) else self_signed_context(hosts)
     key = secrets.token_urlsafe(16)
@@ -112,17 +108,7 @@ def host_names(host: str) -> list[str]:
 
 
 def self_signed_context(hosts: list[str]) -> ssl.SSLContext:
-    """Returns TLS settings with a new key and a self-signed certificate, valid for two days.
-
-    Raises:
-        LiveError: the package cryptography is not installed.
-    """
-    try:
-        x509 = importlib.import_module("cryptography.x509")
-        from cryptography.hazmat.primitives import hashes, serialization
-        from cryptography.hazmat.primitives.asymmetric import ec
-    except ImportError:
-        raise LiveError("a certificate needs cryptography: pip install 'geort-drake[live]'") from None
+    """Returns TLS settings with a new key and a self-signed certificate, valid for two days."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "geort-drake live")])
     now = dt.datetime.now(dt.UTC)
@@ -134,7 +120,7 @@ def self_signed_context(hosts: list[str]) -> ssl.SSLContext:
         .serial_number(x509.random_serial_number())
         .not_valid_before(now - dt.timedelta(hours=1))
         .not_valid_after(now + _LIFETIME)
-        .add_extension(x509.SubjectAlternativeName([_name(x509, host) for host in hosts]), critical=False)
+        .add_extension(x509.SubjectAlternativeName([_name(host) for host in hosts]), critical=False)
         .sign(key, hashes.SHA256())
     )
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
@@ -150,7 +136,7 @@ def self_signed_context(hosts: list[str]) -> ssl.SSLContext:
     return context
 
 
-def _name(x509, host: str):  # type: ignore[no-untyped-def]
+def _name(host: str) -> x509.GeneralName:
     try:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:

@@ -5,7 +5,7 @@ import dataclasses as dc
 import gc
 import time
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import msgspec
 from pydrake.systems.analysis import Simulator
@@ -21,6 +21,7 @@ from geort_drake.live.teleoperation import Teleoperation, make_teleoperation
 from geort_drake.live.web.control import PageControl, WatchedTrial
 from geort_drake.live.web.operator_station import OperatorStation, RobotInfo
 from geort_drake.live.web.scene import PageScene, measured_poses
+from geort_drake.live.web.server import WebServer
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
 from geort_drake.simulation.following import RobotModel, robot_model
@@ -29,9 +30,6 @@ from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import TrialBuilder
 from geort_drake.simulation.world import ARM, HAND
 from geort_drake.systems.glove import GloveRecorder
-
-if TYPE_CHECKING:
-    from geort_drake.live.web.server import WebServer
 
 # Longest time between joint targets of a simulation, s; a new hand waits for half of it on average.
 _PERIOD = 0.004
@@ -74,7 +72,7 @@ class WebTeleoperation:
     setup: Setup
     choose: Callable[[str, str], Setup]
     station: OperatorStation
-    server: "WebServer"
+    server: WebServer
     control: PageControl
     link: RobotLink | None = None
     relax_after: float = 5.0
