@@ -132,8 +132,8 @@ def _run_page(
     """Serves the page and runs its sessions; returns a summary of all and the last recording."""
     if options.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
-    folder = options.record or _RECORDINGS
-    require_writable(folder, directory=True)
+    if options.record:
+        require_writable(options.record, directory=True)
     page = find_page()
     if link:
         _confirm_real_robot()
@@ -143,6 +143,7 @@ def _run_page(
         other = load_scenario(None, _MOUNTS[mount], options.scenario_text, hand)
         return _setup(options, other, load_hand(hand), False)
 
+    folder = options.record or _RECORDINGS
     station = OperatorStation(
         setup.about, play=lambda: RecordedHand(_recorded_hand(folder, station.about.side))
     )

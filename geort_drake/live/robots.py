@@ -7,14 +7,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from pydrake.geometry import Meshcat, MeshcatParams, MeshcatVisualizer
 from pydrake.systems.framework import (
-    BasicVector,
     Context,
     Diagram,
     DiagramBuilder,
-    DiscreteStateIndex,
     DiscreteValues,
     EventStatus,
-    InputPort,
 )
 
 from geort_drake.errors import LiveError
@@ -89,7 +86,7 @@ class JointServer(PythonSystem):
     Output ports:
         hand_desired_state (2n), arm_desired_state (2m): joint positions (rad), then velocities (rad/s).
 
-    State: the commanded positions, rad; before the first command, the initial positions.
+    State: the values of the output ports; before the first command, the initial positions.
 
     Attributes:
         bus: the bus, which counts what it refuses.
@@ -103,31 +100,20 @@ class JointServer(PythonSystem):
         super().__init__()
         self.bus, self._groups, self._sequence = bus, list(groups), 0
         self._measured = [self.DeclareVectorInputPort(f"{g.name}_state", 2 * len(g.joints)) for g in groups]
-        self._commanded = [self.DeclareDiscreteState(group.start) for group in groups]
-        for group, index in zip(groups, self._commanded, strict=True):
-            self.DeclareVectorOutputPort(
-                f"{group.name}_desired_state",
-                2 * len(group.joints),
-                lambda context, output, index=index: self._calc_desired(context, output, index),
-                {self.discrete_state_ticket(index)},
-            )
+        for group in groups:
+            state = self.DeclareDiscreteState(np.concatenate([group.start, np.zeros_like(group.start)]))
+            self.DeclareStateOutputPort(f"{group.name}_desired_state", state)
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, 0.0, self._update)
         self.DeclarePeriodicPublishEvent(STATUS_PERIOD, 0.0, self._publish)
 
-    def _calc_desired(self, context: Context, output: BasicVector, index: DiscreteStateIndex) -> None:
-        q = context.get_discrete_state(index).value()
-        output.SetFromVector(np.concatenate([q, np.zeros_like(q)]))
-
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
-        positions: dict[str, float] = {}
-        for targets in self.bus.fetch():
-            positions |= dict(zip(targets.names, targets.position, strict=True))
-        for group, index in zip(self._groups, self._commanded, strict=True):
-            q = context.get_discrete_state(index).value()
-            q = np.array(
-                [positions.get(name, float(q_old)) for name, q_old in zip(group.joints, q, strict=True)]
-            )
-            discrete_state.get_mutable_vector(index).SetFromVector(np.clip(q, group.lower, group.upper))
+        targets: dict[str, float] = {}
+        for message in self.bus.fetch():
+            targets |= zip(message.names, message.position, strict=True)
+        for index, group in enumerate(self._groups):
+            desired = discrete_state.get_mutable_value(index)  # starts as the present one
+            q = [targets.get(name, float(old)) for name, old in zip(group.joints, desired, strict=False)]
+            desired[: len(q)] = np.clip(q, group.lower, group.upper)
         return EventStatus.Succeeded()
 
     def _publish(self, context: Context) -> EventStatus:
@@ -205,11 +191,15 @@ class RobotLink(PythonSystem):
         super().__init__()
         self.bus, self._clock = bus, clock
         self._hold_after = min(_HOLD_PERIODS * period, MAX_HOLD_AFTER)
-        self._measured: dict[str, tuple[float, float]] = {}  # joint → position, velocity
-        self._arrived: dict[str, float] = {}
+        self._latest: dict[str, tuple[float, float, float]] = {}  # joint → position, velocity, arrival
         self._sequence, self._fault = 0, ""
-        self._groups = [hand, arm]
-        self._ports = [self._declare_group(group) for group in self._groups]
+        self._groups = self._driven = [hand, arm]
+        self._desired = []
+        for group in self._groups:
+            n = len(group.joints)
+            self._desired.append(self.DeclareVectorInputPort(f"{group.name}_desired_state", 2 * n))
+            state = self.DeclareDiscreteState(np.full(2 * n, math.nan))
+            self.DeclareStateOutputPort(f"{group.name}_state", state)
         self._engaged = self.DeclareVectorInputPort("engaged", 1)
         self.DeclareInitializationDiscreteUpdateEvent(self._update)
         self.DeclarePeriodicDiscreteUpdateEvent(POLL_PERIOD, 0.0, self._update)
@@ -230,35 +220,36 @@ class RobotLink(PythonSystem):
             return None if self._missing() else True
 
         wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
-        self._groups = [group for group, _, _ in self._ports if self._has(group)]
-        return self._start(self._ports[0][0]), self._start(self._ports[1][0])
+        self._driven = [group for group in self._groups if self._has(group)]
+        hand, arm = map(self._start, self._groups)
+        return hand, arm
 
     def require_alive(self, silence_s: float) -> None:
         """Raises LiveError if a joint's state has not come for `silence_s`, s, or the robot has a fault."""
         if self._fault:
             raise LiveError(f"the robot reports a fault: {self._fault}; commands have stopped")
-        for group in self._groups:
-            name = min(group.joints, key=lambda name: self._arrived[name])
-            if (silent := self._clock() - self._arrived[name]) > silence_s:
+        for group in self._driven:
+            arrival, name = min((self._latest[name][2], name) for name in group.joints)
+            if (silent := self._clock() - arrival) > silence_s:
                 raise LiveError(
                     f"{group.name}: no state of {name} for {silent:.1f} s; commands have stopped, because "
                     f"the robot may be elsewhere when it comes back{self._refusals()}"
                 )
 
     def _has(self, group: JointGroup) -> bool:
-        return bool(group.joints) and all(name in self._measured for name in group.joints)
+        return bool(group.joints) and all(name in self._latest for name in group.joints)
 
     def _missing(self) -> list[str]:
         """Returns the joints that have no state yet: those of the hand, and of an arm if there is one."""
-        hand, arm = (group for group, _, _ in self._ports)
-        has_arm = self.bus.arm_is_required or any(name in self._measured for name in arm.joints)
+        hand, arm = self._groups
+        has_arm = self.bus.arm_is_required or any(name in self._latest for name in arm.joints)
         required = [*hand.joints, *(arm.joints if has_arm else [])]
-        return [name for name in required if name not in self._measured]
+        return [name for name in required if name not in self._latest]
 
     def _start(self, group: JointGroup) -> np.ndarray:
-        if group not in self._groups:
+        if group not in self._driven:
             return group.start
-        q = np.array([self._measured[name][0] for name in group.joints])
+        q = np.array([self._latest[name][0] for name in group.joints])
         clamped = np.clip(q, group.lower, group.upper)
         worst = int(np.argmax(np.abs(q - clamped)))
         if abs(q[worst] - clamped[worst]) > _TOLERANCE:
@@ -270,7 +261,7 @@ class RobotLink(PythonSystem):
 
     def _silence(self, timeout_s: float) -> str:
         missing = self._missing()
-        others = sorted({*self._measured} - {name for group, _, _ in self._ports for name in group.joints})
+        others = sorted({*self._latest} - {name for group in self._groups for name in group.joints})
         unknown = f"; it reports joints that the model lacks: {', '.join(others)[:200]}" if others else ""
         names = ", ".join(missing[:4]) + (f" and {len(missing) - 4} more" if len(missing) > 4 else "")
         return f"no robot: no state of {names} within {timeout_s:g} s{unknown}{self._refusals()}"
@@ -280,42 +271,27 @@ class RobotLink(PythonSystem):
             return ""
         return f"; {self.bus.refused} messages were refused, the last: {self.bus.last_refusal}"
 
-    def _declare_group(self, group: JointGroup) -> tuple[JointGroup, InputPort, DiscreteStateIndex]:
-        n = len(group.joints)
-        port = self.DeclareVectorInputPort(f"{group.name}_desired_state", 2 * n)
-        state = self.DeclareDiscreteState(np.full(2 * n, math.nan))
-        self.DeclareVectorOutputPort(
-            f"{group.name}_state",
-            2 * n,
-            lambda context, output: output.SetFromVector(context.get_discrete_state(state).value()),
-            {self.discrete_state_ticket(state)},
-        )
-        return group, port, state
-
     def _fetch(self) -> None:
         for state in self.bus.fetch():
             for name, q, v in zip(state.names, state.position, state.velocity, strict=True):
-                self._measured[name], self._arrived[name] = (q, v), self._clock()
+                self._latest[name] = q, v, self._clock()
             self._fault = state.fault
 
     def _update(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         self._fetch()
-        for group, _, index in self._ports:
-            resting = [(q, 0.0) for q in group.start]
-            is_measured = self._has(group)
-            values = [self._measured[name] for name in group.joints] if is_measured else resting
-            if is_measured or group not in self._groups:
-                discrete_state.get_mutable_vector(index).SetFromVector(np.ravel(np.transpose(values)))
+        for index, group in enumerate(self._groups):
+            if self._has(group):
+                q, v, _ = zip(*(self._latest[name] for name in group.joints), strict=True)
+                discrete_state.set_value(index, [*q, *v])
+            elif group not in self._driven:
+                discrete_state.set_value(index, [*group.start, *np.zeros_like(group.start)])
         return EventStatus.Succeeded()
 
     def _publish(self, context: Context) -> EventStatus:
-        names: list[str] = []
-        parts: list[np.ndarray] = []
-        for group, port, _ in self._ports:
-            if group in self._groups:
-                names += group.joints
-                parts.append(port.Eval(context).reshape(2, -1))
-        position, velocity = np.concatenate(parts, axis=1).tolist()
+        driven = [pair for pair in zip(self._groups, self._desired, strict=True) if pair[0] in self._driven]
+        names = [name for group, _ in driven for name in group.joints]
+        desired = np.concatenate([port.Eval(context).reshape(2, -1) for _, port in driven], axis=1)
+        position, velocity = desired.tolist()
         self._sequence += 1
         engaged = bool(self._engaged.Eval(context)[0] >= 0.5)
         self.bus.send(
