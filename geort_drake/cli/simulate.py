@@ -226,7 +226,7 @@ class Grasp(Command, ScenarioOptions):
         base = self._base()
         name, path = self.scenario_name, self.replay
         if path is None:
-            if base.fixed_base and find_task(base.task).cases_of is not None:  # an object to go to
+            if base.fixed_base and find_task(base.task).objects:  # an object to go to
                 raise ScenarioError(
                     f"scenario '{name}': the person cannot do the task '{base.task}' with a fixed base; "
                     "give a --replay"

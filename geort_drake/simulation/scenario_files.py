@@ -148,7 +148,6 @@ def _loaded(
     source = find_task(task or "grasp").scenario
     if file is None and isinstance(source, str):
         scenario = merged(source, None, f"the scenario of task {task}", defaults)
-        scenario.task = task or scenario.task
     else:
         default_file, default_name = ("", "Grasp") if isinstance(source, str) else source
         scenario = _read(Path(file or default_file), name or default_name, defaults)

@@ -31,6 +31,14 @@ from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.scene_view import SceneView
 
 PERIOD = 0.01  # s between two observations
+# Scenario of tasks for the fingers of a parked hand; its timeout, s, is longer than they take.
+PARKED_HAND = """
+kind: adaptive
+timeout: 60.0
+directives: [{add_directives: {file: package://geort_drake/diagrams/parked_hand.dmd.yaml}}]
+hand_parent: arm::hand_side
+fixed_base: true
+"""
 
 # Name of an input port of the judge → its values.
 Observation = Mapping[str, np.ndarray]
@@ -248,7 +256,7 @@ class Task:
             do not fit together.
         phases: the person's behaviour.
         percepts: ports of the judge that the person perceives besides those of the view.
-        cases_of: returns the objects, one per trial; None for a task without a choice.
+        objects: objects to choose from, one per trial; empty for a task without a choice.
         settings: dataclass of positive numbers for the scenario's `task_settings`; None for a task without.
         placing: how the person places the object, if they do, with `hover` and `upright` of a `Transfer`.
         begins_straight: whether the person's fingers are straight at first, because bent ones would collide.
@@ -261,25 +269,25 @@ class Task:
     add: Callable[[Site], Handled]
     phases: tuple[Phase, ...]
     percepts: tuple[str, ...] = ()
-    cases_of: Callable[[], list[str]] | None = None
+    objects: Sequence[str] = ()
     settings: type | None = None
     placing: Any = None
     begins_straight: bool = False
 
     def cases(self) -> list[str]:
         """Returns the cases of the task, one per trial, such as objects."""
-        return [self.name] if self.cases_of is None else self.cases_of()
+        return [*self.objects] or [self.name]
 
     def choose(self, scenario: Scenario, case: str) -> None:
         """Sets the case in a scenario; raises UnknownNameError if there is none of that name."""
         if case not in self.cases():
             raise UnknownNameError("object", case, self.cases())
-        if self.cases_of is not None:
+        if self.objects:
             scenario.object.name = case
 
     def case_of(self, scenario: Scenario) -> str:
         """Returns the case of a scenario."""
-        return self.name if self.cases_of is None else scenario.object.name
+        return scenario.object.name if self.objects else self.name
 
     def person(self, scenario: Scenario, hand: HumanHand, goal: Goal, rng: np.random.Generator) -> Person:
         """Returns a person who perceives the ports of `Stage.percepts`.
@@ -332,7 +340,7 @@ class Task:
         plant, scene_graph = AddMultibodyPlant(scenario.plant_config, builder)
         add_robot(plant, scenario, description)
         settings = self.settings_of(scenario)
-        if goal is None and self.cases_of is None:  # the place of what is handled depends on the goal
+        if goal is None and not self.objects:  # the place of what is handled depends on the goal
             goal = self.plans(scenario, description)[0]
         handled = self.add(Site(plant, scene_graph, scenario, description, goal, X_WB, settings, rng))
         body = handled.body

@@ -17,7 +17,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.person.cap import CAP
 from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.plan.fingertips import FingerPlanner, Plan
-from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
+from geort_drake.simulation.task import PARKED_HAND, Handled, Judgement, Observation, Outcome, Site, Task
 
 RADIUS, HEIGHT = 0.020, 0.025  # m
 FINGERS = ("thumb", "index", "middle")
@@ -36,15 +36,6 @@ _FRICTION, _VARIATION = 0.8, 0.2  # of the cap; fraction by which friction and b
 _NECK, _NECK_HEIGHT = 0.017, 0.10  # m, radius and height of the bottle's neck
 _COLOR, _RIB_COLOR = np.array([0.95, 0.45, 0.10, 1.0]), np.array([0.75, 0.33, 0.05, 1.0])
 _NECK_COLOR = np.array([0.75, 0.80, 0.85, 1.0])
-
-SCENARIO = """
-kind: adaptive
-# s; also that of the whole task.
-timeout: 60.0
-directives: [{add_directives: {file: package://geort_drake/diagrams/parked_hand.dmd.yaml}}]
-hand_parent: arm::hand_side
-fixed_base: true
-"""
 
 
 @dc.dataclass(frozen=True)
@@ -245,7 +236,7 @@ def _add(site: Site) -> Handled:
 TASK = Task(
     name="cap",
     summary="unscrew a cap with three fingers, which grip again and again",
-    scenario=SCENARIO,
+    scenario=PARKED_HAND,
     plans=lambda scenario, description: [plan.goal for plan in CapPlanner(description).plans()],
     add=_add,
     phases=CAP,

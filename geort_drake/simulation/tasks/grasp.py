@@ -215,6 +215,6 @@ TASK = Task(
     plans=lambda scenario, description: GraspPlanner(scenario, description).plans(),
     add=_add,
     phases=GRASP,
-    cases_of=object_names,
+    objects=object_names(),
     settings=GraspSettings,
 )

@@ -20,7 +20,7 @@ from geort_drake.hands.description import HandDescription
 from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.person.keys import KEYS
 from geort_drake.simulation.plan.fingertips import FingerPlanner, Plan
-from geort_drake.simulation.task import Handled, Judgement, Observation, Outcome, Site, Task
+from geort_drake.simulation.task import PARKED_HAND, Handled, Judgement, Observation, Outcome, Site, Task
 
 # Size of a key cap along and across the fingers, and distance between the centres of neighbours, m.
 CAP_LENGTH, CAP_WIDTH, PITCH = 0.040, 0.018, 0.045
@@ -36,15 +36,6 @@ _CAP_HEIGHT, _CAP_MASS = 0.006, 0.005  # m, kg
 _STIFFNESS, _DAMPING = 150.0, 1.7  # N/m and N s/m of a key; the damping is critical
 _FRICTION = CoulombFriction(0.6, 0.6)
 _COLOR, _BED_COLOR = np.array([0.93, 0.93, 0.90, 1.0]), np.array([0.25, 0.26, 0.28, 1.0])
-
-SCENARIO = """
-kind: adaptive
-# Longer than the presses take.
-timeout: 60.0
-directives: [{add_directives: {file: package://geort_drake/diagrams/parked_hand.dmd.yaml}}]
-hand_parent: arm::hand_side
-fixed_base: true
-"""
 
 
 @dc.dataclass(frozen=True)
@@ -231,7 +222,7 @@ def _add(site: Site) -> Handled:
 TASK = Task(
     name="keys",
     summary="press the cued one of three keys without moving the others",
-    scenario=SCENARIO,
+    scenario=PARKED_HAND,
     plans=lambda scenario, description: [plan.goal for plan in plans(description)],
     add=_add,
     phases=KEYS,

@@ -68,5 +68,5 @@ TASK = TRANSFER.task(
     summary="lift a dowel and insert it in a hole",
     scenario=SCENARIO,
     plans=_plans,
-    cases_of=lambda: ["dowel"],
+    objects=["dowel"],
 )

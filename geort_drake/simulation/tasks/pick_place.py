@@ -81,5 +81,5 @@ TASK = TRANSFER.task(
     summary="lift a low block off the table and put it down at another place",
     scenario=SCENARIO,
     plans=_plans,
-    cases_of=lambda: list(HEIGHTS),
+    objects=list(HEIGHTS),
 )
