@@ -4,7 +4,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -230,37 +230,13 @@ _BLOCK_S, _BLOCKS = 0.5, 6
 _BURST_S = 0.04
 
 
-class _Block(NamedTuple):
-    """Half a second of frames.
-
-    Attributes:
-        fastest: delay of the fastest frame, s.
-        spread: by how much longer the slowest took, s.
-        arrivals: number of frames that arrived.
-        frames: number of frames that were sent.
-        offset: the clock's offset at the end, s.
-    """
-
-    fastest: float
-    spread: float
-    arrivals: int
-    frames: int
-    offset: float
-
-
-def _sent(steps: list[tuple[float, int]]) -> int:
-    """Returns how many frames were sent, with those that are missing between stamps.
-
-    Args:
-        steps: steps of the stamps, s, and the number of frames that arrived with each.
-    """
-    arrivals = sum(frames for _, frames in steps)
-    singles = [step / frames for step, frames in steps if math.isfinite(step)]
-    if not singles or min(singles) <= 0.0:  # the stamps are coarser than the steps
-        return arrivals
-    usual_step = float(np.median(singles))
+def _sent(steps: list[float]) -> int:
+    """Returns how many frames were sent, with those that are missing between stamps, from their steps, s."""
+    usual_step = np.median(steps) if steps else 0.0
+    if usual_step <= 0.0:  # the stamps are coarser than the steps
+        return len(steps)
     # A step over missing frames is more than 1.7 usual ones; shorter ones are uneven.
-    return arrivals + sum(max(0, int(single / usual_step + 0.3) - 1) for single in singles)
+    return sum(max(1, int(step / usual_step + 0.3)) for step in steps)
 
 
 class SenderClock:
@@ -287,10 +263,10 @@ class SenderClock:
         """Forgets all frames, as for another sender or a clock that was set."""
         self.offset, self.drift, self.growth = math.inf, 0.0, 0.0
         self._arrival, self._stamp = math.nan, -math.inf
-        self._blocks: deque[_Block] = deque(maxlen=_BLOCKS)
+        # Of each: delay of the fastest frame, s; number of frames that were sent; offset at the end, s.
+        self._blocks: deque[tuple[float, int, float]] = deque(maxlen=_BLOCKS)
         self._most_frames = 0
-        self._fastest, self._slowest = math.inf, -math.inf
-        self._steps: list[tuple[float, int]] = []  # of the stamps, s, and the frames in each
+        self._fastest = math.inf
         self._begin_block(math.nan)
 
     def lateness(self, arrival: float, stamp: float, frames: int = 1) -> float:
@@ -309,38 +285,33 @@ class SenderClock:
             self._end_block(arrival)
         if math.isfinite(self.offset):
             self.offset += max(self.drift, _ORDINARY_DRIFT) * (arrival - self._arrival)
+            self._steps += frames * [(stamp - self._stamp) / frames]
         delay = arrival - stamp
-        self.offset = min(self.offset, delay)
-        self._steps.append((stamp - self._stamp, frames))
+        self.offset, self._fastest = min(self.offset, delay), min(self._fastest, delay)
         self._arrival, self._stamp = arrival, stamp
-        self._fastest, self._slowest = min(self._fastest, delay), max(self._slowest, delay)
         return delay - self.offset
 
     def _begin_block(self, time: float) -> None:
-        self._began, self._fastest, self._slowest = time, math.inf, -math.inf
-        self._steps = []
+        self._began, self._steps = time, list[float]()  # of the stamps, s, one for each frame
+        self._fastest = math.inf
 
     def _end_block(self, time: float) -> None:
         pause = time - self._began > 1.5 * _BLOCK_S
         if pause:  # frames are missing, so that neither rate nor growth is known
             self._blocks.clear()
         else:
-            spread = max(0.0, self._slowest - self._fastest)
-            arrivals = sum(frames for _, frames in self._steps)
-            self._blocks.append(_Block(self._fastest, spread, arrivals, _sent(self._steps), self.offset))
+            self._blocks.append((self._fastest, _sent(self._steps), self.offset))
         self._begin_block(time if pause else self._began + _BLOCK_S)
         self.drift = self.growth = 0.0
         if len(self._blocks) < _BLOCKS:
             return
-        frames = sum(block.frames for block in self._blocks)
+        frames = sum(sent for _, sent, _ in self._blocks)
         self._most_frames = max(self._most_frames, frames)
-        growth = float(np.median(np.diff([block.fastest for block in self._blocks])))
+        growth = float(np.median(np.diff([fastest for fastest, _, _ in self._blocks])))
         self.growth = drift = growth / _BLOCK_S
         # While a queue grows by `drift`, that share of the frames is still under way. One frame may fall
-        # outside of the blocks, or as many as come in a burst, or are lost in a row at either end.
-        burst = min(_BURST_S, float(np.median([block.spread for block in self._blocks])))
-        lost_share = frames / max(1, sum(block.arrivals for block in self._blocks)) - 1.0
-        tolerance = 1.0 + burst * frames / (_BLOCKS * _BLOCK_S) + 4.0 * lost_share
+        # outside of the blocks, or as many as come in a burst.
+        tolerance = 1.0 + _BURST_S * frames / (_BLOCKS * _BLOCK_S)
         if 0.0 < drift <= _MAX_DRIFT and frames >= self._most_frames * (1.0 - 0.25 * drift) - tolerance:
             self.drift = drift
-            self.offset = max(self.offset, self._blocks[0].offset + (_BLOCKS - 1) * growth)
+            self.offset = max(self.offset, self._blocks[0][2] + (_BLOCKS - 1) * growth)
