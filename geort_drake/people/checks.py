@@ -67,9 +67,12 @@ def examine(recording: Recording) -> Recording:
         RecordingError: the meaning of the recording is open, or too little of it is usable.
     """
     check_clock(recording)
-    sentences = [*check_order(recording), *check_unit(recording), *check_side(recording)]
+    p_HK = _finite(recording)
+    check_order(p_HK)
+    check_unit(p_HK, recording.metadata.get("unit"))
+    sentences = check_side(p_HK, recording.side)
     recording, lost = mark_lost_frames(recording)
-    sentences += [*lost, *check_bones(recording)]
+    sentences += [*lost, *check_bones(_finite(recording))]
     warnings = dict.fromkeys([*recording.metadata.get("warnings", []), *sentences])
     return dataclasses.replace(recording, metadata={**recording.metadata, "warnings": list(warnings)})
 
@@ -104,8 +107,8 @@ def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> No
     if not len(p):
         raise RecordingError(f"{name}: no frame has finite keypoints below {_LARGEST:g}")
     with naming(name, RecordingError):
-        _require_order(p)
-        _require_size(p)
+        check_order(p)
+        check_unit(p)
         off = float(np.median(_off_frame(p)))
         if not off < _FRAME_TOLERANCE_M:
             raise RecordingError(
@@ -170,22 +173,33 @@ def check_clock(recording: Recording) -> None:
         )
 
 
-def check_order(recording: Recording) -> list[str]:
-    """Refuses keypoints that are in another order than the expected one."""
-    _require_order(_finite(recording))
-    return []
+def check_order(p_HK: np.ndarray) -> None:
+    """Refuses keypoints (T, 21, 3) that are in another order than the expected one."""
+    order, contradiction = fitting_order(p_HK)
+    if order != KEYPOINT_ORDER:
+        actual = f"a hand in this order: {order}" if order else f"no hand in any known order: {contradiction}"
+        raise RecordingError(
+            f"wrong joint order: keypoints must be {KEYPOINT_ORDER}, but are {actual} (p_HK)"
+        )
 
 
-def check_unit(recording: Recording) -> list[str]:
-    """Refuses a hand that has no person's size in metres."""
-    _require_size(_finite(recording), recording.metadata.get("unit"))
-    return []
+def check_unit(p_HK: np.ndarray, unit: str | None = None) -> None:
+    """Refuses keypoints (T, 21, 3), m, of a hand that has no person's size; `unit` is that of their file."""
+    palm = float(np.median(np.linalg.norm(p_HK[:, MIDDLE_MCP] - p_HK[:, WRIST], axis=-1)))
+    low, high = _PALM_M
+    if low <= palm <= high:
+        return
+    # geort-drake's own files are in metres and state no unit.
+    number = palm / UNITS_M[unit or "m"]
+    fits = [other for other, size in UNITS_M.items() if low <= number * size <= high]
+    message = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
+    message += f"; it would be right if lengths were in {fits[0]}" if fits else ""
+    raise RecordingError(message + (f": convert it with --unit {fits[0]}" if fits and unit else ""))
 
 
-def check_side(recording: Recording) -> list[str]:
-    """Refuses a hand of the other side, and mirrored axes, by how the fingers bend."""
-    side, bending = recording.side, _mean_bending(_finite(recording))
-    other = SIDES[1 - SIDES.index(side)]
+def check_side(p_HK: np.ndarray, side: str) -> list[str]:
+    """Refuses a hand of the other side, and mirrored axes, by how the fingers bend; p_HK is (T, 21, 3), m."""
+    bending, other = _mean_bending(p_HK), SIDES[1 - SIDES.index(side)]
     if bending < -_MIN_BEND_SINE:
         raise RecordingError(
             f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a {side} "
@@ -233,9 +247,8 @@ def mark_lost_frames(recording: Recording) -> tuple[Recording, list[str]]:
     return dataclasses.replace(recording, valid=valid), sentences
 
 
-def check_bones(recording: Recording) -> list[str]:
-    """Refuses keypoints that coincide, and bones whose lengths change as those of 2-D landmarks do."""
-    p_HK = _finite(recording)
+def check_bones(p_HK: np.ndarray) -> list[str]:
+    """Refuses keypoints (T, 21, 3), m, that coincide, and bones whose lengths change as in 2-D landmarks."""
     length = bone_lengths(p_HK)
     median = np.median(length, axis=0)
     if median.min() < 1e-3:
@@ -311,28 +324,6 @@ def _contradictions(distance: np.ndarray) -> Iterator[str]:
         for a, b, c in zip(chain, chain[1:], chain[2:], strict=False):
             if distance[a, c] < 0.94 * distance[a, b]:
                 yield f"keypoint {c}, of the {finger}, is nearer to {a} than {b}, which lies between them"
-
-
-def _require_order(p: np.ndarray) -> None:
-    order, contradiction = fitting_order(p)
-    if order != KEYPOINT_ORDER:
-        actual = f"a hand in this order: {order}" if order else f"no hand in any known order: {contradiction}"
-        raise RecordingError(
-            f"wrong joint order: keypoints must be {KEYPOINT_ORDER}, but are {actual} (p_HK)"
-        )
-
-
-def _require_size(p: np.ndarray, unit: str | None = None) -> None:
-    palm = float(np.median(np.linalg.norm(p[:, MIDDLE_MCP] - p[:, WRIST], axis=-1)))
-    low, high = _PALM_M
-    if low <= palm <= high:
-        return
-    # The unit in which the file was read; geort-drake's own files are in metres and state none.
-    number = palm / UNITS_M[unit or "m"]
-    fits = [other for other, size in UNITS_M.items() if low <= number * size <= high]
-    message = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
-    message += f"; it would be right if lengths were in {fits[0]}" if fits else ""
-    raise RecordingError(message + (f": convert it with --unit {fits[0]}" if fits and unit else ""))
 
 
 def _mean_bending(p_HK: np.ndarray) -> float:

@@ -23,13 +23,6 @@ PINCH_M = 0.015  # a distance between the tips of thumb and finger below this co
 MAX_BYTES = 2 << 30
 _TIME_TOLERANCE = 1e-6  # s; recorded times are sums of binary fractions
 
-# Expected types of metadata fields.
-_METADATA = {
-    **dict.fromkeys(("format", "source", "object", "recorded_side", "unit"), str),
-    **dict.fromkeys(("rate_known", "wrist_position_tracked"), bool),
-    "seed": int,
-    **dict.fromkeys(("warnings", "robot_signals"), list),
-}
 # Arrays that a recording may lack.
 _OPTIONAL = ("X_WH", "robot")
 
@@ -177,7 +170,6 @@ class Recording:
                 f"convention {metadata.get('convention')!r} is not supported; expected {CONVENTION}"
             )
         optional = {name: arrays.get(name) for name in _OPTIONAL}
-        metadata = _checked_metadata(metadata)
         return cls(arrays["t"], arrays["p_HK"], arrays["valid"], metadata=metadata, **optional)
 
     @classmethod
@@ -231,17 +223,6 @@ def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
 def newest(sample_times: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Returns for each time t (T,), s, the row of the latest sample up to it, of those at `sample_times`."""
     return np.maximum(np.searchsorted(sample_times, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
-
-
-def _checked_metadata(metadata: dict) -> dict:
-    """Returns the metadata without fields of unexpected types, which are added to its warnings."""
-    bad = [field for field, kind in _METADATA.items() if not isinstance(metadata.get(field), kind | None)]
-    usable = {field: value for field, value in metadata.items() if field not in bad}
-    if bad or "warnings" in usable:
-        warnings = [warning for warning in usable.get("warnings", []) if isinstance(warning, str)]
-        warnings += [f"metadata {field} must be {_METADATA[field].__name__}; left out" for field in bad]
-        usable["warnings"] = warnings
-    return usable
 
 
 def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
