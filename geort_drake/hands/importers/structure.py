@@ -1,7 +1,8 @@
 """Finds the palm and the fingers of a hand's model.
 
-Links with the same movable joints between them and the root are welded together. The tuple of these joints'
-names thus identifies a group of links; a group carries all groups whose tuples begin with its own.
+Links with the same root and the same movable joints from there are welded together. The tuple of the root's
+and these joints' names thus identifies a group of links; a group carries all groups whose tuples begin with
+its own.
 """
 
 import itertools
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import BodyIndex, RevoluteJoint, RigidBody
+from pydrake.multibody.tree import RevoluteJoint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError, UnknownNameError, listed, naming
@@ -87,13 +88,13 @@ class HandStructure:
         detach_from_world(plant, self.hand)
         joints = map(plant.get_joint, plant.GetJointIndices(self.hand))
         self._joints = {joint.name(): joint for joint in joints if joint.num_positions()}
-        root = self._read_groups(palm)
-        self.root = root.name()
-        plant.WeldFrames(plant.world_frame(), root.body_frame())
+        self._groups = self._read_groups()
+        self._carrier = self._find_carrier(palm)
+        self.root = self._carrier[0]
+        # Anything else in the file, such as an object, is no part of the hand.
+        self._groups = {group: links for group, links in self._groups.items() if group[0] == self.root}
+        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(self.root, self.hand))
         plant.Finalize()
-        self._carrier = _carrier(self._groups, palm)
-        if palm is None:
-            self._require_one_hand()
         for coupling in self.couplings:
             for name in (coupling.joint, coupling.follows):
                 if name not in self._joints:
@@ -113,15 +114,16 @@ class HandStructure:
         fingers = [finger for finger in fingers if finger in longest[:MAX_FINGERS]]
         leaders = {c.joint: c.follows for c in resolved_couplings(self.couplings)}
         self.held_joints = self._find_held_joints(fingers, leaders)
-        chains = [self._chain(finger, leaders) for finger in fingers]
-        for finger, chain in zip(fingers, chains, strict=True):
-            if chain is None and (unlimited := [n for n in finger if self.held_joints.get(n) == _UNLIMITED]):
+        self.chains = []
+        for finger in fingers:
+            if (chain := self._chain(finger, leaders)) is not None:
+                self.chains.append(chain)
+            elif unlimited := [name for name in finger if self.held_joints.get(name) == _UNLIMITED]:
                 names = listed([f"'{name}'" for name in unlimited])
                 raise HandError(
                     f"the joints {names} have no position limits, so their finger could not move; give each "
                     "limits, or make it a fixed joint"
                 )
-        self.chains = [chain for chain in chains if chain is not None]
         if len(self.chains) < 2:
             in_chains = set(itertools.chain(*fingers))
             held = {name: why for name, why in self.held_joints.items() if name in in_chains}
@@ -133,53 +135,63 @@ class HandStructure:
         carried = Counter(self._joints[finger[0]].parent_body().index() for finger in fingers)
         self.palm = sorted(links, key=lambda body: -carried[body.index()])
 
-    def _read_groups(self, palm: str | None) -> RigidBody:
-        """Finds the groups of links that the palm's root link carries, nearest first; returns that link."""
+    def _read_groups(self) -> dict[Group, list[RigidBody]]:
+        """Returns the groups of links, those nearest to their roots first."""
         plant = self.plant
-        by_root: dict[BodyIndex, dict[Group, list[RigidBody]]] = {}
+        groups: dict[Group, list[RigidBody]] = {}
         for index, path in joint_paths(plant, self.hand).items():
-            root = path[0].parent_body().index() if path else index
-            group = tuple(joint.name() for joint in path if joint.num_positions())
-            links = by_root.setdefault(root, {}).setdefault(group, [])
+            root = path[0].parent_body() if path else plant.get_body(index)
+            group = (root.name(), *(joint.name() for joint in path if joint.num_positions()))
+            links = groups.setdefault(group, [])
             # The link that is not welded to another one towards the root comes first.
             links.insert(len(links) if path and not path[-1].num_positions() else 0, plant.get_body(index))
-
-        def rank(root: BodyIndex) -> tuple[bool, int]:
-            names = {body.name() for links in by_root[root].values() for body in links}
-            return palm in names, len(by_root[root])
-
-        if not by_root:
+        if not groups:
             raise HandError("the model has no links")
-        hands = [g for g in by_root.values() if max(_outgoing(g).values(), default=0) >= _MIN_PALM_CHAINS]
-        if palm is None and len(hands) > 1:
-            raise _several_hands([f"'{groups[_carrier(groups, None)][0].name()}'" for groups in hands])
-        # Anything else in the file, such as an object, has fewer joints than the hand.
-        root = max(by_root, key=rank)
-        self._groups = dict(sorted(by_root[root].items(), key=lambda item: len(item[0])))
-        return plant.get_body(root)
+        return dict(sorted(groups.items(), key=lambda item: len(item[0])))
 
-    def _require_one_hand(self) -> None:
-        """Raises HandError for a model of several hands, or with an arm in addition to other chains."""
-        groups, palm, outgoing = self._groups, self._carrier, _outgoing(self._groups)
+    def _find_carrier(self, palm: str | None) -> Group:
+        """Returns the group with the named link, or the one nearest to a root from which most joints start.
+
+        Raises:
+            HandError: the model has several hands, or an arm in addition to other chains.
+            UnknownNameError: it has no such link.
+        """
+        groups = self._groups
+        if palm is not None:
+            group_of = {body.name(): group for group, bodies in groups.items() for body in bodies}
+            if palm not in group_of:
+                raise UnknownNameError("link of the model", palm, group_of)
+            return group_of[palm]
+        outgoing = Counter(group[:-1] for group in groups)
+        size = Counter(group[0] for group in groups)
+        carrier = max(groups, key=lambda group: (outgoing[group], size[group[0]]))
         branching = [group for group in groups if outgoing[group] > 1]
-        palms = [group for group in branching if outgoing[group] >= min(_MIN_PALM_CHAINS, outgoing[palm])]
+        palms = [
+            group
+            for group in branching
+            if outgoing[group] >= _MIN_PALM_CHAINS
+            or (group[0] == carrier[0] and outgoing[group] == outgoing[carrier])
+        ]
         # Groups nearer to the root come first.
         separate = any(b[: len(a)] != a for a, b in itertools.combinations(palms, 2))
-        on_palm = [group for group in branching if group[: len(palm)] == palm]
-        if not separate and not any(len(group) - len(palm) >= _MIN_ARM_JOINTS for group in on_palm):
-            return
-        choices = []
-        for group in branching:
-            starting = [self._joints[other[-1]] for other in groups if other and other[:-1] == group]
-            parents = [joint.parent_body().name() for joint in starting]
-            choices.append(f"'{max(parents, key=parents.count)}'")
-        raise _several_hands(choices)
+        on_palm = [group for group in branching if group[: len(carrier)] == carrier]
+        if separate or any(len(group) - len(carrier) >= _MIN_ARM_JOINTS for group in on_palm):
+            choices = []
+            for group in branching:
+                starting = [self._joints[other[-1]] for other in groups if other[:-1] == group]
+                parents = [joint.parent_body().name() for joint in starting]
+                choices.append(f"'{max(parents, key=parents.count)}'")
+            raise HandError(
+                f"more than one hand: several chains of joints start at each of {', '.join(choices)}; "
+                "give the palm as --palm, or put the hand into a file of its own"
+            )
+        return carrier
 
     def _fingers(self) -> list[Group]:
         """Returns the joints of each chain that may be a finger, from the palm on."""
-        outgoing, start = _outgoing(self._groups), len(self._carrier)
+        start, inner = len(self._carrier), {group[:-1] for group in self._groups}
         on_palm = [group for group in self._groups if group[:start] == self._carrier]
-        ends = [group[start:] for group in on_palm if not outgoing[group]]
+        ends = [group[start:] for group in on_palm if group not in inner]
         fingers: list[Group] = []
         for path in sorted(ends, key=len, reverse=True):
             branches = [finger for finger in fingers if finger[:1] == path[:1]]
@@ -224,26 +236,3 @@ class HandStructure:
         bodies = list(itertools.chain(*links[finger.index(moving[-1]) :]))
         names = [*finger, *(body.name() for body in itertools.chain(*links))]
         return Chain(independent, moving, bodies, names)
-
-
-def _outgoing(groups: dict[Group, list[RigidBody]]) -> Counter[Group]:
-    """Counts the joints that start from each group."""
-    return Counter(group[:-1] for group in groups if group)
-
-
-def _carrier(groups: dict[Group, list[RigidBody]], palm: str | None) -> Group:
-    """Returns the group with the named link, or the one nearest to the root from which most joints start."""
-    if palm is None:
-        outgoing = _outgoing(groups)
-        return max(groups, key=lambda group: outgoing[group])
-    group_of = {body.name(): group for group, bodies in groups.items() for body in bodies}
-    if palm not in group_of:
-        raise UnknownNameError("link of the model", palm, group_of)
-    return group_of[palm]
-
-
-def _several_hands(palms: list[str]) -> HandError:
-    return HandError(
-        f"more than one hand: several chains of joints start at each of {', '.join(palms)}; "
-        "give the palm as --palm, or put the hand into a file of its own"
-    )
