@@ -12,7 +12,7 @@ from model_scene import SHIPPED_HANDS
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import Hand, load_hand, load_scenario
+from geort_drake import Hand, load_scenario
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import HandInPlant, add_hand_model
 from geort_drake.hands.collision import collision_shapes
@@ -153,19 +153,6 @@ def test_kinematics_survive_offset_bases_welded_links_and_held_joints(allegro_co
         tips = fingertips(model.kinematics(), torch.tensor(positions)).numpy()
         np.testing.assert_allclose(tips, model.fingertips(positions), atol=1e-9)
     np.testing.assert_allclose(whole.fingertips(q_whole), hand.fingertips(q), atol=1e-9)
-
-
-def test_a_leader_does_the_work_of_the_servos_of_its_followers():
-    """A follower that turns half as far adds a quarter of its gains, and half of its effort."""
-    hand = load_hand("allegro_right")
-    before = Hand(hand).plant.GetJointActuatorByName("joint_2")
-    hand.fingers[1].joints.remove("joint_3")
-    hand.couplings.append(CouplingDescription("joint_3", "joint_2", -0.5))
-    after = Hand(hand).plant.GetJointActuatorByName("joint_2")
-    given, gains = before.get_controller_gains(), after.get_controller_gains()
-    assert (gains.p, gains.d) == pytest.approx((1.25 * given.p, 1.25 * given.d))
-    assert after.effort_limit() == pytest.approx(1.5 * before.effort_limit())
-    assert after.default_rotor_inertia() == before.default_rotor_inertia() > 0
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])

@@ -44,7 +44,6 @@ from geort_drake.hands.description import (
     resolved_couplings,
 )
 from geort_drake.hands.kinematics import FingerChain
-from geort_drake.hands.mjcf import add_mjcf
 from geort_drake.hands.model_files import check_values, find_package, read_model
 from geort_drake.hands.model_search import find_model
 from geort_drake.resources import PACKAGE_NAME, resource_root
@@ -338,6 +337,8 @@ def parse_model(plant: MultibodyPlant, path: Path) -> ModelInstanceIndex:
     tree = read_model(path)
     parser = Parser(plant)
     if tree.tag == "mujoco":
+        from geort_drake.hands.mjcf import add_mjcf
+
         return add_mjcf(plant, parser.scene_graph(), path)
     with naming(f"model {path}", HandError):
         check_values(tree)
@@ -458,15 +459,11 @@ def _remove_joint(plant: MultibodyPlant, joint: Joint) -> None:
 def _actuate(hand: HandInPlant) -> None:
     """Gives the joints that fingers list motors with the description's gains; removes those of followers.
 
-    Without gains, the model's own are kept, and servos of followers are added to those of their leaders.
+    Without gains, the model's own are kept.
     """
     plant, gains = hand.plant, hand.description.actuation
     for coupling in hand.description.followers:
-        joint = plant.GetJointByName(coupling.joint, hand.instance)
-        if gains.stiffness == 0:
-            leader = plant.GetJointByName(coupling.follows, hand.instance)
-            _add_servo(plant, joint, leader, abs(coupling.ratio))
-        _remove_actuators(plant, joint)
+        _remove_actuators(plant, plant.GetJointByName(coupling.joint, hand.instance))
     if gains.stiffness == 0:
         return
     existing = {actuator.joint().index(): actuator for actuator in _actuators(plant)}
@@ -480,24 +477,6 @@ def _actuate(hand: HandInPlant) -> None:
             _remove_actuators(plant, joint)
             actuator = plant.AddJointActuator(f"{name}_motor", joint, gains.effort_limit or np.inf)
         actuator.set_controller_gains(PdControllerGains(p=gains.stiffness, d=gains.damping))
-
-
-def _add_servo(plant: MultibodyPlant, joint: Joint, leader: Joint, ratio: float) -> None:
-    """Adds a follower's servo to that of its leader, which moves the follower by `ratio`."""
-    servos = {a.joint().index(): a for a in _actuators(plant) if a.has_controller()}
-    if not {joint.index(), leader.index()} <= servos.keys():
-        return
-    follower_servo, servo = servos[joint.index()], servos[leader.index()]
-    gains, follower_gains = servo.get_controller_gains(), follower_servo.get_controller_gains()
-    name, gear, inertia = servo.name(), servo.default_gear_ratio(), servo.default_rotor_inertia()
-    limit = servo.effort_limit() + ratio * follower_servo.effort_limit()
-    plant.RemoveJointActuator(servo)  # the effort limit of an existing actuator cannot change
-    servo = plant.AddJointActuator(name, leader, limit)
-    servo.set_default_gear_ratio(gear)
-    servo.set_default_rotor_inertia(inertia)
-    servo.set_controller_gains(
-        PdControllerGains(p=gains.p + ratio**2 * follower_gains.p, d=gains.d + ratio**2 * follower_gains.d)
-    )
 
 
 def _actuators(plant: MultibodyPlant) -> list:

@@ -24,8 +24,8 @@ from geort_drake.hands.model_files import digest_of_contents, model_files
 from geort_drake.hands.model_search import find_model, has_published_model
 
 
-class Hand:
-    """Kinematics and collision geometry of a robot hand in Drake, with its base B welded to the world.
+class Hand(HandInPlant):
+    """A robot hand in a plant of its own: kinematics and collisions, with the base B welded to the world.
 
     q has the order of `joint_names`. Followers move with these joints; all other joints stay at their default
     positions. `tip_geometries` gives the collision geometries that count as fingertips.
@@ -50,43 +50,40 @@ class Hand:
     """
 
     def __init__(self, hand: HandDescription | str | os.PathLike):
-        self.description = description = load_hand(hand)
+        description = load_hand(hand)
         description.validate()
         path = find_model(description)
         self._what = f"hand '{description.name}' with model {path}"  # for error messages
         builder = DiagramBuilder()
         # Actuators with controller gains need a discrete plant; it is never stepped.
-        self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
-        self.instance = add_hand_model(self.plant, description)
+        plant, self.scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.001)
+        super().__init__(plant, description, add_hand_model(plant, description))
         if has_published_model(description):
             model_sha256 = description.source.sha256
         else:
-            files = model_files(self.plant, self.scene_graph.model_inspector(), self.instance, path)
+            files = model_files(plant, self.scene_graph.model_inspector(), self.instance, path)
             model_sha256 = digest_of_contents(files)
         self.digest = _digest(description, model_sha256)
-        self._parts = parts = HandInPlant(self.plant, description, self.instance)
         with naming(self._what, HandError):
-            self._base = parts.frame(description.base_frame, "base_frame")
-            self._mount = parts.frame(description.mount.frame or description.base_frame, "mount.frame")
-            self.plant.WeldFrames(self.plant.world_frame(), self._base)
+            self._base = self.frame(description.base_frame, "base_frame")
+            self._mount = self.frame(description.mount.frame or description.base_frame, "mount.frame")
+            plant.WeldFrames(plant.world_frame(), self._base)
             self.couplings = JointCouplings(description)
-            followers = [parts.joint(name, "couplings", RevoluteJoint) for name in self.couplings.names]
-            joints = [
-                parts.joint(name, f"fingers.{finger.name}.joints", RevoluteJoint)
-                for finger in description.fingers
-                for name in finger.joints
-            ]
+            followers = [self.joint(name, "couplings", RevoluteJoint) for name in self.couplings.names]
+            joints = []
+            for finger in description.fingers:
+                field = f"fingers.{finger.name}"
+                joints += [self.joint(name, f"{field}.joints", RevoluteJoint) for name in finger.joints]
+                self.frame(finger.tip_link, f"{field}.tip_link")  # raises an error without one
             for joint in joints:
                 _check_range(joint)
-            for finger in description.fingers:
-                parts.frame(finger.tip_link, f"fingers.{finger.name}.tip_link")  # raises an error without one
-            self.lower, self.upper = parts.position_limits()
-        self.plant.Finalize()
+            self.lower, self.upper = self.position_limits()
+        plant.Finalize()
         self.diagram = builder.Build()
 
         self._order = np.array([joint.position_start() for joint in (*joints, *followers)])
-        self._fingertips = parts.forward_kinematics(self.joint_names)
-        tips = parts.tip_geometries(self.scene_graph.model_inspector())
+        self._fingertips = self.forward_kinematics(self.joint_names)
+        tips = self.tip_geometries(self.scene_graph.model_inspector())
         self._tip_geometries = set(tips)
         self._contact_context = self.diagram.CreateDefaultContext()
         # In this context, contacts between fingertips are filtered.
@@ -96,7 +93,7 @@ class Hand:
         ).Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(tips)))
         # Visual geometry would slow each query down by a tenth.
         for context in (self._contact_context, self._beyond_tips_context):
-            remove_visuals(self.plant, self.scene_graph, context)
+            remove_visuals(plant, self.scene_graph, context)
         self._default = self.plant.GetPositions(self.plant.GetMyContextFromRoot(self._contact_context)).copy()
 
     @property
@@ -182,7 +179,7 @@ class Hand:
             HandError: the joints that a finger lists are not those between the hand base and its tip.
         """
         with naming(self._what, HandError):
-            fingers = tuple(self._parts.finger_chain(finger) for finger in self.description.fingers)
+            fingers = tuple(self.finger_chain(finger) for finger in self.description.fingers)
         return HandKinematics(
             fingers=fingers,
             joint_names=tuple(self.joint_names),

@@ -1,13 +1,13 @@
 """Reads MJCF as MuJoCo compiles it, and builds the same model in a Drake plant.
 
 In MuJoCo's compiled model, defaults, includes, frames, units and references are resolved, and meshes are
-read. Drake 1.51 resolves only some of these.
+read. Drake 1.51 resolves only some of these. MuJoCo is an extra, so this module is imported where it is used.
 """
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import mujoco
 import numpy as np
 from pydrake.common import MemoryFile
 from pydrake.common.eigen_geometry import AngleAxis, Quaternion
@@ -45,9 +45,6 @@ from pydrake.multibody.tree import (
 from geort_drake.errors import HandError, listed
 from geort_drake.hands.description import CouplingDescription
 
-if TYPE_CHECKING:
-    import mujoco
-
 # The name of MuJoCo's world as a link of the hand.
 WORLD = "worldbody"
 # A tendon couples its joints if its range leaves them at most this much play to either side, rad.
@@ -62,15 +59,12 @@ _WRAP_JOINT = 1
 _LAST_VISIBLE_GROUP = 2
 
 
-def compile_mjcf(path: Path) -> "tuple[mujoco.MjModel, list[Path]]":
+def compile_mjcf(path: Path) -> tuple[mujoco.MjModel, list[Path]]:
     """Compiles a model; returns it, and the mesh files that it uses.
 
     Raises:
         HandError: the model is invalid, or the ends of a range are swapped, which MuJoCo takes for no range.
-        ModuleNotFoundError: MuJoCo is not installed.
     """
-    import mujoco  # an extra
-
     try:
         if path.suffix == ".xml":
             spec = mujoco.MjSpec.from_file(str(path))
@@ -122,7 +116,7 @@ class _Builder:
         self,
         plant: MultibodyPlant,
         scene_graph: SceneGraph | None,
-        m: "mujoco.MjModel",
+        m: mujoco.MjModel,
         instance: ModelInstanceIndex,
     ):
         self._plant, self._scene_graph, self._m, self._instance = plant, scene_graph, m, instance
@@ -319,7 +313,7 @@ class _Builder:
         return name_of(self._m, kind, number)
 
 
-def name_of(m: "mujoco.MjModel", kind: str, number: int) -> str:
+def name_of(m: mujoco.MjModel, kind: str, number: int) -> str:
     """Returns the name of a body, joint, geom, tendon or actuator, or one made from its number."""
     return getattr(m, kind)(number).name or f"{kind}_{number}"
 
@@ -393,11 +387,11 @@ def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str
     return list(couplings.values()), notes
 
 
-def _motors(m: "mujoco.MjModel", *transmissions: int) -> Iterator[int]:
+def _motors(m: mujoco.MjModel, *transmissions: int) -> Iterator[int]:
     return (motor for motor in range(m.nu) if m.actuator_trntype[motor] in transmissions)
 
 
-def _fixed_tendon(m: "mujoco.MjModel", tendon: int) -> dict[int, float]:
+def _fixed_tendon(m: mujoco.MjModel, tendon: int) -> dict[int, float]:
     """Maps the joints of a fixed tendon to their coefficients; empty for a spatial tendon."""
     parts = range(m.tendon_adr[tendon], m.tendon_adr[tendon] + m.tendon_num[tendon])
     if any(m.wrap_type[part] != _WRAP_JOINT for part in parts):
@@ -405,7 +399,7 @@ def _fixed_tendon(m: "mujoco.MjModel", tendon: int) -> dict[int, float]:
     return {int(m.wrap_objid[part]): float(m.wrap_prm[part]) for part in parts if m.wrap_prm[part] != 0}
 
 
-def _narrow_length(m: "mujoco.MjModel", tendon: int, coefficient: float) -> float | None:
+def _narrow_length(m: mujoco.MjModel, tendon: int, coefficient: float) -> float | None:
     """Returns the middle of a tendon's range if the range leaves its joints little play, else None."""
     low, high = m.tendon_range[tendon]
     narrow = m.tendon_limited[tendon] and 0.5 * (high - low) / coefficient <= _MAX_PLAY

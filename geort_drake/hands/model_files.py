@@ -15,7 +15,6 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from geort_drake.errors import HandError, listed
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import CouplingDescription
-from geort_drake.hands.mjcf import compile_mjcf, read_mjcf_couplings
 
 _PRODUCTS_OF_INERTIA = ("ixy", "ixz", "iyz")
 _INERTIA = ("mass", "ixx", "iyy", "izz", *_PRODUCTS_OF_INERTIA)
@@ -108,6 +107,8 @@ def model_files(
     """
     meshes: list[Path] = []
     if read_model(model).tag == "mujoco":
+        from geort_drake.hands.mjcf import compile_mjcf
+
         meshes = compile_mjcf(model)[1]
     elif inspector is not None:
         bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
@@ -233,6 +234,8 @@ def read_couplings(path: Path) -> tuple[list[CouplingDescription], list[str]]:
     """
     tree = read_model(path)
     if tree.tag == "mujoco":
+        from geort_drake.hands.mjcf import read_mjcf_couplings
+
         return read_mjcf_couplings(path)
     couplings = []
     for joint in tree.iter("joint"):
