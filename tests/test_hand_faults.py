@@ -262,22 +262,41 @@ def test_a_package_is_known_by_its_package_xml(inner, tmp_path):
             r"joint 'thumb_mcp': upper must be a number; given: x",
         ),
         ('velocity="5"', 'velocity="-5"', r"joint 'thumb_mcp' has the negative velocity limit -5 rad/s"),
-        (
-            '<parent link="palm"/><child link="index_mcp_link"/>',
-            '<parent link="index_pip_link"/><child link="index_mcp_link"/>',
-            r"the joints 'index_pip', 'index_mcp' form a loop, so that the link 'index_mcp_link' moves",
-        ),
-        (
-            '<child link="index_mcp_link"/>',
-            '<child link="middle_mcp_link"/>',
-            r"the joints 'index_mcp' and 'middle_mcp' both move the link 'middle_mcp_link'",
-        ),
     ],
 )
 def test_unusable_values_are_named(old, new, message, tmp_path):
     """With their joint or link."""
     with pytest.raises(HandError, match=message):
         propose(write_urdf(tmp_path, leader="mcp", changes={old: new}))
+
+
+@pytest.mark.parametrize(
+    ("leader", "old", "new", "message"),
+    [
+        (
+            "",
+            '<parent link="palm"/><child link="index_spread_link"/>',
+            '<parent link="index_pip_link"/><child link="index_spread_link"/>',
+            r"the joints 'index_.*', 'index_.*', 'index_.*' form a loop",
+        ),
+        (
+            "",
+            '<parent link="middle_mcp_link"/><child link="middle_pip_link"/>',
+            '<parent link="middle_mcp_link"/><child link="index_pip_link"/>',
+            r"the joints 'index_pip' and 'middle_pip' both move 'index_pip_link'",
+        ),
+        # Drake itself refuses two joints between the same links.
+        (
+            "mcp",
+            '<parent link="palm"/><child link="index_mcp_link"/>',
+            '<parent link="index_pip_link"/><child link="index_mcp_link"/>',
+            r"joint 'index_mcp' .* joint 'index_pip' .* is not allowed",
+        ),
+    ],
+)
+def test_joints_that_form_no_tree_are_named(leader, old, new, message, tmp_path):
+    with pytest.raises(HandError, match=message):
+        propose(write_urdf(tmp_path, leader=leader, changes={old: new}))
 
 
 def test_a_finger_without_limits_is_not_left_out(tmp_path):

@@ -35,7 +35,7 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import Context
 
-from geort_drake.errors import HandError, naming
+from geort_drake.errors import HandError, listed, naming
 from geort_drake.hands.description import (
     FingerDescription,
     HandDescription,
@@ -53,18 +53,28 @@ _AXIAL = (RevoluteJoint, PrismaticJoint)
 
 
 def joint_paths(plant: MultibodyPlant, model: ModelInstanceIndex) -> dict[BodyIndex, tuple[Joint, ...]]:
-    """Returns the joints, including welds, from the base of a model to each of its links."""
-    joints = map(plant.get_joint, plant.GetJointIndices(model))
-    inboard = {joint.child_body().index(): joint for joint in joints}
+    """Returns the joints, including welds, from the base of a model to each of its links.
+
+    Raises:
+        HandError: two joints move one link, or joints form a loop.
+    """
+    inboard: dict[BodyIndex, Joint] = {}
+    for joint in map(plant.get_joint, plant.GetJointIndices(model)):
+        link = joint.child_body()
+        if (other := inboard.setdefault(link.index(), joint)) != joint:
+            raise HandError(f"the joints '{other.name()}' and '{joint.name()}' both move '{link.name()}'")
     paths: dict[BodyIndex, tuple[Joint, ...]] = {}
-
-    def path(body: BodyIndex) -> tuple[Joint, ...]:
-        if body not in paths:
-            joint = inboard.get(body)
-            paths[body] = () if joint is None else (*path(joint.parent_body().index()), joint)
-        return paths[body]
-
-    return {body: path(body) for body in plant.GetBodyIndices(model)}
+    for body in plant.GetBodyIndices(model):
+        path: list[Joint] = []
+        inner = body
+        while (mover := inboard.get(inner)) is not None:
+            if mover in path:
+                loop = listed([f"'{joint.name()}'" for joint in reversed(path)])
+                raise HandError(f"the joints {loop} form a loop; a hand must be a tree")
+            path.insert(0, mover)
+            inner = mover.parent_body().index()
+        paths[body] = tuple(path)
+    return paths
 
 
 class HandInPlant:

@@ -90,7 +90,7 @@ def compile_mjcf(path: Path) -> tuple[mujoco.MjModel, list[Path]]:
     return model, [folder / mesh.file for mesh in spec.meshes if mesh.file]
 
 
-def add_mjcf(plant: MultibodyPlant, scene_graph: SceneGraph | None, path: Path) -> ModelInstanceIndex:
+def add_mjcf(plant: MultibodyPlant, scene_graph: SceneGraph, path: Path) -> ModelInstanceIndex:
     """Adds a model to a plant; its joints start at MuJoCo's reference positions.
 
     The bodies below MuJoCo's world are not attached to Drake's. If joints connect them to the world, it
@@ -115,7 +115,7 @@ class _Builder:
     def __init__(
         self,
         plant: MultibodyPlant,
-        scene_graph: SceneGraph | None,
+        scene_graph: SceneGraph,
         m: mujoco.MjModel,
         instance: ModelInstanceIndex,
     ):
@@ -136,12 +136,11 @@ class _Builder:
             tree = m.body_rootid[body]
             if moving[m.body_rootid == tree].any():
                 self._add_link(body)
-        if self._scene_graph is not None:
-            for geom in range(m.ngeom):
-                body = m.geom_bodyid[geom]
-                if body in self._links and (body > 0 or len(jointed) > 1):
-                    self._add_geom(geom)
-            self._filter_collisions(self._scene_graph)
+        for geom in range(m.ngeom):
+            body = m.geom_bodyid[geom]
+            if body in self._links and (body > 0 or len(jointed) > 1):
+                self._add_geom(geom)
+        self._filter_collisions()
         self._add_actuators()
         return self._instance
 
@@ -259,7 +258,7 @@ class _Builder:
         text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices)
         return Convex(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", m.mesh(mesh).name)))
 
-    def _filter_collisions(self, scene_graph: SceneGraph) -> None:
+    def _filter_collisions(self) -> None:
         """Filters the pairs that MuJoCo does not check: by masks, excluded bodies, and neighbours."""
         m, filters = self._m, CollisionFilterDeclaration()
         geoms = np.array([*self._geometry], dtype=int)
@@ -275,7 +274,7 @@ class _Builder:
             if first < second:
                 pair = (GeometrySet(self._geometry[geoms[number]]) for number in (first, second))
                 filters.ExcludeBetween(*pair)
-        scene_graph.collision_filter_manager().Apply(filters)
+        self._scene_graph.collision_filter_manager().Apply(filters)
 
     def _add_actuators(self) -> None:
         """Adds the joints' motors; position servos, of force gain · (input − position), get gains."""

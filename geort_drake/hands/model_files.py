@@ -12,7 +12,7 @@ from pydrake.geometry import Convex, Mesh, SceneGraphInspector
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
-from geort_drake.errors import HandError, listed
+from geort_drake.errors import HandError
 from geort_drake.files import sha256_of
 from geort_drake.hands.description import CouplingDescription
 
@@ -93,7 +93,7 @@ def _package_name(file: Path) -> str | None:
 
 
 def model_files(
-    plant: MultibodyPlant, inspector: SceneGraphInspector | None, hand: ModelInstanceIndex, model: Path
+    plant: MultibodyPlant, inspector: SceneGraphInspector, hand: ModelInstanceIndex, model: Path
 ) -> list[Path]:
     """Returns a hand's model file, the files that it includes, and the meshes of its collision geometry.
 
@@ -101,16 +101,15 @@ def model_files(
 
     Args:
         plant: plant with the hand.
-        inspector: inspector of the plant's scene graph; None for a plant without one, which gives no meshes.
+        inspector: inspector of the plant's scene graph.
         hand: model instance of the hand.
         model: SDF, URDF or MJCF file of the hand.
     """
-    meshes: list[Path] = []
     if read_model(model).tag == "mujoco":
         from geort_drake.hands.mjcf import compile_mjcf
 
         meshes = compile_mjcf(model)[1]
-    elif inspector is not None:
+    else:
         bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
         geometries = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
         shapes = [inspector.GetShape(id) for id in geometries]
@@ -153,12 +152,11 @@ def check_values(tree: ET.Element) -> None:
         tree: the XML of a URDF or SDF file.
 
     Raises:
-        HandError: two links or two joints have one name; joints form a loop, or two of URDF move one link;
-            limits are swapped; a joint follows another by a factor of 0; a velocity limit of URDF, a mass or
-            a moment of inertia is negative, or one of the inertias not finite.
+        HandError: two links or two joints have one name; limits are swapped; a joint follows another by a
+            factor of 0; a velocity limit of URDF, a mass or a moment of inertia is negative, or one of the
+            inertias not finite.
     """
     for model in [tree, *tree.iter("model")]:
-        _check_tree(model)
         for kind in ("link", "joint"):
             names = Counter(element.get("name", "") for element in model.findall(kind))
             for name, count in names.items():
@@ -183,28 +181,6 @@ def check_values(tree: ET.Element) -> None:
                         f"{where} follows '{mimic.get('joint')}' by a multiplier of 0, so it never moves: "
                         "make it a fixed joint"
                     )
-
-
-def _check_tree(model: ET.Element) -> None:
-    """Checks that no link is moved by itself, and in URDF none by two joints."""
-    parents: dict[str, tuple[str, str]] = {}  # child → its joint and parent
-    for joint in model.findall("joint"):
-        ends = [joint.find(end) for end in ("parent", "child")]
-        # Attributes in URDF, texts in SDF.
-        parent, child = ("" if e is None else e.get("link") or (e.text or "").strip() for e in ends)
-        name = joint.get("name", "")
-        if model.tag == "robot" and child in parents:
-            raise HandError(f"the joints '{parents[child][0]}' and '{name}' both move the link '{child}'")
-        parents[child] = name, parent
-    for link in parents:
-        joints: list[str] = []
-        ancestor = link
-        while ancestor in parents and len(joints) <= len(parents):
-            joints.append(parents[ancestor][0])
-            ancestor = parents[ancestor][1]
-            if ancestor == link:
-                loop = listed([f"'{joint}'" for joint in reversed(joints)])
-                raise HandError(f"the joints {loop} form a loop, so that the link '{link}' moves itself")
 
 
 def _check_inertia(link: ET.Element) -> None:
