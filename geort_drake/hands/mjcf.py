@@ -4,7 +4,7 @@ In MuJoCo's compiled model, defaults, includes, frames, units and references are
 read. Drake 1.51 resolves only some of these. MuJoCo is an extra, so this module is imported where it is used.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import mujoco
@@ -222,8 +222,7 @@ class _Builder:
 
     def _shape(self, geom: int) -> Shape | None:
         """Returns a geom's shape; None for planes and height fields."""
-        m, size = self._m, self._m.geom_size[geom]
-        kind = m.geom_type[geom]
+        m, size, kind = self._m, self._m.geom_size[geom], self._m.geom_type[geom]
         if kind == _SPHERE:
             return Sphere(size[0])
         if kind == _CAPSULE:
@@ -237,26 +236,26 @@ class _Builder:
         if kind != _MESH:
             return None
         mesh = m.geom_dataid[geom]
-        first, count = m.mesh_vertadr[mesh], m.mesh_vertnum[mesh]
-        vertices = m.mesh_vert[first : first + count]
         first, count = m.mesh_faceadr[mesh], m.mesh_facenum[mesh]
         faces = np.stack([m.mesh_face, m.mesh_facenormal], -1)[first : first + count] + 1
         first, count = m.mesh_normaladr[mesh], m.mesh_normalnum[mesh]
         normals = m.mesh_normal[first : first + count]  # Drake's renderers refuse a mesh without
-        text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices)
-        text += "".join(f"vn {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in normals)
+        text = "".join(f"vn {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in normals)
         text += "".join("f " + " ".join(f"{v}//{n}" for v, n in face) + "\n" for face in faces)
-        return Mesh(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", m.mesh(mesh).name)))
+        return Mesh(self._obj(mesh, range(m.mesh_vertnum[mesh]), text))
 
     def _hull(self, geom: int) -> Convex:
         """Returns the convex hull of a mesh, which MuJoCo has computed."""
         m, mesh = self._m, self._m.geom_dataid[geom]
         start = m.mesh_graphadr[mesh]
         count = m.mesh_graph[start]  # then the number of faces, the vertices' edges, and the vertices
-        rows = m.mesh_graph[start + 2 + count : start + 2 + 2 * count]
-        vertices = m.mesh_vert[m.mesh_vertadr[mesh] + rows]
-        text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in vertices)
-        return Convex(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", m.mesh(mesh).name)))
+        return Convex(self._obj(mesh, m.mesh_graph[start + 2 + count : start + 2 + 2 * count]))
+
+    def _obj(self, mesh: int, vertices: Sequence[int] | np.ndarray, more: str = "") -> InMemoryMesh:
+        """Returns an .obj file of some of a mesh's vertices, and lines that follow these."""
+        points = self._m.mesh_vert[self._m.mesh_vertadr[mesh] + np.array(vertices)]
+        text = "".join(f"v {x:.9g} {y:.9g} {z:.9g}\n" for x, y, z in points)
+        return InMemoryMesh(mesh_file=MemoryFile(text + more, ".obj", self._m.mesh(mesh).name))
 
     def _filter_collisions(self) -> None:
         """Filters the pairs that MuJoCo does not check: by masks, excluded bodies, and neighbours."""

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 from geort_drake.errors import listed
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.fingers import CLOSING_FRACTION, finger_shapes, parts_of, unit
+from geort_drake.hands.kinematics import FingerChain
 
 # Joint ranges outside of these are probably mistakes, rad.
 _NARROW_RANGE, _WIDE_RANGE = np.deg2rad(5.0), 2.0 * np.pi
@@ -50,7 +51,7 @@ def contact_fractions(hand: Hand) -> dict[tuple[str, str], float]:
 def _lengths(hand: Hand) -> Iterator[str]:
     low, high = _FINGER_LENGTHS
     for chain in hand.kinematics().fingers:
-        length = _link_lengths(chain.X_PJ, chain.p_tip).sum()
+        length = _link_lengths(chain).sum()
         if not low <= length <= high:
             yield (
                 f"{chain.name} is {length:.3g} m long: is it a finger, and are model and meshes in metres?"
@@ -153,11 +154,10 @@ def _angle(v: np.ndarray, axis: int) -> float:
 
 def _tips(hand: Hand) -> Iterator[str]:
     """Finds fingertips far from their fingers."""
-    lengths = [_link_lengths(chain.X_PJ, chain.p_tip) for chain in hand.kinematics().fingers]
-    median = float(np.median([length.sum() for length in lengths]))
-    plant, description = hand.plant, hand.description
-    for finger, chain, length in zip(description.fingers, hand.kinematics().fingers, lengths, strict=True):
-        joint, last = chain.all_joint_names[-1], length[-1]
+    plant, chains = hand.plant, hand.kinematics().fingers
+    median = float(np.median([_link_lengths(chain).sum() for chain in chains]))
+    for finger, chain in zip(hand.description.fingers, chains, strict=True):
+        joint, last = chain.all_joint_names[-1], _link_lengths(chain)[-1]
         if last > median:
             yield (
                 f"the tip of {finger.name} lies {1e3 * last:.0f} mm from its last joint '{joint}', farther "
@@ -227,13 +227,13 @@ def _masses(hand: Hand) -> Iterator[str]:
 
 def _links(hand: Hand) -> list[tuple[Joint, float]]:
     """Returns the fingers' joints and the lengths of their links, m: from a joint to the next or the tip."""
-    joints: list[tuple[Joint, float]] = []
-    for chain in hand.kinematics().fingers:
-        lengths = _link_lengths(chain.X_PJ, chain.p_tip).tolist()
-        joints += zip(map(hand.plant.GetJointByName, chain.all_joint_names), lengths, strict=True)
-    return joints
+    return [
+        (hand.plant.GetJointByName(name), length)
+        for chain in hand.kinematics().fingers
+        for name, length in zip(chain.all_joint_names, _link_lengths(chain).tolist(), strict=True)
+    ]
 
 
-def _link_lengths(X_PJ: np.ndarray, p_tip: np.ndarray) -> np.ndarray:
+def _link_lengths(chain: FingerChain) -> np.ndarray:
     """Returns the distances (n,) from each of a finger's n joints to the next or the tip, m."""
-    return np.linalg.norm([*X_PJ[1:, :3, 3], p_tip], axis=1)
+    return np.linalg.norm([*chain.X_PJ[1:, :3, 3], chain.p_tip], axis=1)

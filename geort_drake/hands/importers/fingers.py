@@ -33,10 +33,9 @@ _DEFAULT_LENGTH, _DEFAULT_RADIUS = 0.8, 0.008
 
 
 class Part(NamedTuple):
-    """A geometry G: its link L, the poses of both in a frame F, its shape, and points (N, 3) in F, m."""
+    """A geometry G: its link L, its pose in a frame F, its shape, and points (N, 3) in F, m."""
 
     link: RigidBody
-    X_FL: RigidTransform
     X_FG: RigidTransform
     shape: Shape
     points: np.ndarray
@@ -50,34 +49,33 @@ def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndar
     Returns:
         Link, point (3,) in its frame, m, radius, m, and words for the user on what the tip was derived from.
     """
-    plant = structure.plant
+    plant, R = structure.plant, structure.plant.world_frame()
     context = plant.CreateDefaultContext()
-    X_RJ = [
-        plant.GetJointByName(name, structure.hand).frame_on_child().CalcPoseInWorld(context)
-        for name in chain.moving
-    ]
-    p_RJ = X_RJ[-1].translation()
-    for role, source in ((Role.kProximity, "collision geometry"), (Role.kIllustration, "visual geometry")):
-        if parts := parts_of(plant, structure.scene_graph, chain.bodies, role, plant.world_frame()):
-            return _end_of(parts, p_RJ, source)
-    offsets = [p_RJ - X.translation() for X in X_RJ[::-1]]
-    along = next((v for v in offsets if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
-    X_RL = plant.EvalBodyPoseInWorld(context, chain.bodies[0])
-    point = X_RL.inverse() @ (p_RJ + _DEFAULT_LENGTH * along)
-    return chain.bodies[0], point, _DEFAULT_RADIUS, "the positions of joints alone"
+    joints = [plant.GetJointByName(name, structure.hand) for name in chain.moving]
+    p_RJ = [joint.frame_on_child().CalcPoseInWorld(context).translation() for joint in joints]
+    for role, kind in ((Role.kProximity, "collision geometry"), (Role.kIllustration, "visual geometry")):
+        if parts := parts_of(plant, structure.scene_graph, chain.bodies, role, R):
+            link, p_RT, radius, source = _end_of(parts, p_RJ[-1], kind)
+            break
+    else:
+        offsets = [p_RJ[-1] - p for p in reversed(p_RJ)]
+        along = next((v for v in offsets if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
+        link, p_RT = chain.bodies[0], p_RJ[-1] + _DEFAULT_LENGTH * along
+        radius, source = _DEFAULT_RADIUS, "the positions of joints alone"
+    return link, plant.EvalBodyPoseInWorld(context, link).inverse() @ p_RT, radius, source
 
 
-def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> tuple[RigidBody, np.ndarray, float, str]:
-    """Finds the tip, as `find_tip`, of the geometries that move with the joint at p_RJ (3,), m, in R."""
+def _end_of(parts: list[Part], p_RJ: np.ndarray, kind: str) -> tuple[RigidBody, np.ndarray, float, str]:
+    """Returns link, point, radius and source as `find_tip`, but p_RT, of what moves with the joint at p_RJ."""
     points = np.concatenate([part.points for part in parts])
     distance = np.linalg.norm(points - p_RJ, axis=1)
     along = (points[distance.argmax()] - p_RJ) / distance.max()
     owner = np.repeat(np.arange(len(parts)), [len(part.points) for part in parts])
-    body, X_RL, X_RG, shape, _ = parts[owner[distance.argmax()]]
+    link, X_RG, shape, _ = parts[owner[distance.argmax()]]
     if isinstance(shape, Sphere | Capsule):
         end = np.array([0.0, 0.0, 0.5 * shape.length() if isinstance(shape, Capsule) else 0.0])
         centre = max((X_RG @ end, X_RG @ -end), key=lambda p: float((p - p_RJ) @ along))
-        return body, X_RL.inverse() @ centre, shape.radius(), f"a sphere of the {source}"
+        return link, centre, shape.radius(), f"a sphere of the {kind}"
     depth = (points - p_RJ) @ along
     end_points = points[depth > (1 - _END_FRACTION) * depth.max()] - p_RJ
     across = end_points - np.outer(end_points @ along, along)
@@ -86,7 +84,7 @@ def _end_of(parts: list[Part], p_RJ: np.ndarray, source: str) -> tuple[RigidBody
     radius = float(np.clip(0.5 * (high - low).min(), *_RADIUS_RANGE))
     radius = min(radius, 0.5 * depth.max())
     centre = p_RJ + along * (depth.max() - radius) + axes[:2].T @ (0.5 * (low + high))
-    return body, X_RL.inverse() @ centre, radius, f"the end of the {source}"
+    return link, centre, radius, f"the end of the {kind}"
 
 
 def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
@@ -120,7 +118,7 @@ def parts_of(
             p_GP = surface_points(inspector, geometry)
             if p_GP is not None:
                 X_FG = X_FL @ inspector.GetPoseInFrame(geometry)
-                parts.append(Part(link, X_FL, X_FG, inspector.GetShape(geometry), (X_FG @ p_GP.T).T))
+                parts.append(Part(link, X_FG, inspector.GetShape(geometry), (X_FG @ p_GP.T).T))
     return parts
 
 
