@@ -61,8 +61,11 @@ def joint_paths(plant: MultibodyPlant, model: ModelInstanceIndex) -> dict[BodyIn
     inboard: dict[BodyIndex, Joint] = {}
     for joint in map(plant.get_joint, plant.GetJointIndices(model)):
         link = joint.child_body()
-        if (other := inboard.setdefault(link.index(), joint)) != joint:
+        other = inboard.get(link.index())
+        # The base of a hand may be welded to the world although the parts of a robot carry it.
+        if other is not None and joint.parent_body().index() != plant.world_body().index():
             raise HandError(f"the joints '{other.name()}' and '{joint.name()}' both move '{link.name()}'")
+        inboard[link.index()] = joint
     paths: dict[BodyIndex, tuple[Joint, ...]] = {}
     for body in plant.GetBodyIndices(model):
         path: list[Joint] = []

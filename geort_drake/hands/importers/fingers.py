@@ -66,7 +66,7 @@ def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndar
 
 
 def _end_of(parts: list[Part], p_RJ: np.ndarray, kind: str) -> tuple[RigidBody, np.ndarray, float, str]:
-    """Returns link, point, radius and source as `find_tip`, but p_RT, of what moves with the joint at p_RJ."""
+    """Returns what `find_tip` does, with the point p_RT, of geometries that move with the joint at p_RJ."""
     points = np.concatenate([part.points for part in parts])
     distance = np.linalg.norm(points - p_RJ, axis=1)
     along = (points[distance.argmax()] - p_RJ) / distance.max()
