@@ -4,16 +4,15 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from pydrake.geometry import Role
 from pydrake.math import RigidTransform, RotationMatrix
+from scipy.spatial.transform import Rotation
 
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.fingers import (
     CLOSING_FRACTION,
     FingerShape,
-    Part,
     finger_shapes,
-    parts_of,
+    geometry_of,
     unit,
 )
 from geort_drake.hands.importers.structure import HandStructure
@@ -41,11 +40,11 @@ _KNUCKLES_APART = 0.01
 
 
 def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[list[str], RigidTransform, str]:
-    """Finds the finger name of each chain, the pose X_RB of the hand base in the root link R, and the side.
+    """Finds the finger name of each chain, the pose X_PB of the hand base in the palm's link P, and the side.
 
     Args:
         structure: structure of the model.
-        hand: the model with provisional finger names and R as hand base.
+        hand: the model with provisional finger names and its root link R as hand base.
         notes: receives a sentence on each guess.
     """
     plant = structure.plant
@@ -62,7 +61,8 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
         notes.append("the fingers bend equally to both sides; the palm is assumed to be on the thumb's side")
     x = unit(x - (x @ z) * z)
     context = plant.CreateDefaultContext()
-    R_RP = plant.EvalBodyPoseInWorld(context, structure.palm[0]).rotation().matrix()
+    X_RP = plant.EvalBodyPoseInWorld(context, structure.palm[0])
+    R_RP = X_RP.rotation().matrix()
     R_RB = R_RP @ _snapped(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
     across = (knuckles - middle) @ R_RB[:, 1]
     forward, to_left, _ = (0.5 * (fingers[thumb].p_base + fingers[thumb].p_middle) - middle) @ R_RB
@@ -82,14 +82,12 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
         in_order = [number for number in by_place if number != thumb]
         for name, number in zip(FINGER_NAMES[1:], in_order, strict=False):
             names[number] = name
-    parts: list[Part] = []
-    for role in (Role.kProximity, Role.kIllustration):
-        parts = parts or parts_of(plant, structure.scene_graph, structure.palm, role, plant.world_frame())
+    parts, _ = geometry_of(structure, structure.palm)
     origins = [plant.EvalBodyPoseInWorld(context, link).translation() for link in structure.palm]
     palm = np.concatenate([part.points for part in parts]) if parts else np.array(origins)
     # The hand base is at the wrist end of the palm, behind the middle of the knuckles.
     wrist = middle + ((palm - middle) @ R_RB[:, 2]).min(initial=0.0) * R_RB[:, 2]
-    return names, RigidTransform(RotationMatrix(R_RB), wrist), side
+    return names, X_RP.inverse() @ RigidTransform(RotationMatrix(R_RB), wrist), side
 
 
 def _thumb(
@@ -174,19 +172,17 @@ def side_by_name(texts: Sequence[str]) -> str | None:
 
 def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
     """Returns the rotation, aligned with the nearest axes if they are close."""
-    nearest = np.zeros((3, 3))
-    rows = np.abs(R).argmax(axis=0)
-    nearest[rows, range(3)] = np.sign(R[rows, range(3)])
-    if len(set(rows.tolist())) == 3 and np.linalg.det(nearest) > 0:
-        angle = np.arccos(np.clip(0.5 * (np.trace(nearest.T @ R) - 1.0), -1.0, 1.0))
-        if angle < _SNAP_ANGLE:
-            if angle > _NOTED_ANGLE:
-                notes.append(
-                    f"the hand base is aligned with the palm's link; stretched fingers lean by "
-                    f"{np.rad2deg(angle):.0f} degrees"
-                )
-            return nearest
-    notes.append(
-        "no axes of the palm's link lie along the fingers, so the hand base is aligned with the fingers"
-    )
-    return R
+    exchanges = Rotation.create_group("O")  # the rotations that exchange axes
+    angles = (exchanges.inv() * Rotation.from_matrix(R)).magnitude()
+    angle = angles.min()
+    if angle >= _SNAP_ANGLE:
+        notes.append(
+            "no axes of the palm's link lie along the fingers, so the hand base is aligned with the fingers"
+        )
+        return R
+    if angle > _NOTED_ANGLE:
+        notes.append(
+            f"the hand base is aligned with the palm's link; stretched fingers lean by "
+            f"{np.rad2deg(angle):.0f} degrees"
+        )
+    return np.rint(exchanges[angles.argmin()].as_matrix())

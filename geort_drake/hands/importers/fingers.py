@@ -1,6 +1,6 @@
 """The fingers of a model: their tips, from the geometry of their last links; and how they lie and bend."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -49,14 +49,13 @@ def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndar
     Returns:
         Link, point (3,) in its frame, m, radius, m, and words for the user on what the tip was derived from.
     """
-    plant, R = structure.plant, structure.plant.world_frame()
+    plant = structure.plant
     context = plant.CreateDefaultContext()
     joints = [plant.GetJointByName(name, structure.hand) for name in chain.moving]
     p_RJ = [joint.frame_on_child().CalcPoseInWorld(context).translation() for joint in joints]
-    for role, kind in ((Role.kProximity, "collision geometry"), (Role.kIllustration, "visual geometry")):
-        if parts := parts_of(plant, structure.scene_graph, chain.bodies, role, R):
-            link, p_RT, radius, source = _end_of(parts, p_RJ[-1], kind)
-            break
+    parts, kind = geometry_of(structure, chain.bodies)
+    if parts:
+        link, p_RT, radius, source = _end_of(parts, p_RJ[-1], kind)
     else:
         offsets = [p_RJ[-1] - p for p in reversed(p_RJ)]
         along = next((v for v in offsets if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
@@ -104,6 +103,15 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
         return None
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
     return (box.pose() @ (box.half_width()[:, None] * signs)).T
+
+
+def geometry_of(structure: HandStructure, links: Sequence[RigidBody]) -> tuple[list[Part], str]:
+    """Returns the links' collision geometry in the root link R, or their visual geometry, and which it is."""
+    for role, kind in ((Role.kProximity, "collision geometry"), (Role.kIllustration, "visual geometry")):
+        frame = structure.plant.world_frame()
+        if parts := parts_of(structure.plant, structure.scene_graph, links, role, frame):
+            return parts, kind
+    return [], ""
 
 
 def parts_of(

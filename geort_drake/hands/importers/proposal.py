@@ -88,7 +88,7 @@ def propose(
                 f"the velocity limit 0 of joint '{joint}' counts as unknown: correct it in the model"
             )
     hand = Hand(draft)
-    names, X_RB, side = arrange(structure, hand, notes)
+    names, X_PB, side = arrange(structure, hand, notes)
     guesses: dict[str, list[str]] = {}
     for finger, source, label in zip(fingers, sources, names, strict=True):
         if not source.startswith("a sphere"):
@@ -100,13 +100,9 @@ def propose(
         joints = listed([f"'{joint}'" for joint, why in structure.held_joints.items() if why == reason])
         notes.append(f"joints are held at their default positions, as each {reason}: {joints}")
     notes += structure.notes
-    palm_link = structure.palm[0]
-    X_PB = plant.EvalBodyPoseInWorld(plant.CreateDefaultContext(), palm_link).inverse() @ X_RB
-    rpy_deg = np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
+    palm_link, rpy_deg = structure.palm[0].name(), np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
     frames = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
-    base = next(
-        f"{_BASE_NAME}{extra}" for extra in ("", *range(2, 100)) if f"{_BASE_NAME}{extra}" not in frames
-    )
+    base = next(free for extra in ("", *range(2, 100)) if (free := f"{_BASE_NAME}{extra}") not in frames)
     overlaps = _overlaps(hand)
     if overlaps:
         # First the pairs that can be apart.
@@ -121,7 +117,7 @@ def propose(
         draft,
         side=side,
         base_frame=base,
-        base_pose=BasePoseDescription(palm_link.name(), _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
+        base_pose=BasePoseDescription(palm_link, _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
         fingers=sorted(fingers, key=lambda finger: FINGER_NAMES.index(finger.name)),
         ignored_collisions=sorted([a, b] for a, b in overlaps),
         actuation=_actuation(structure, notes),
