@@ -116,6 +116,19 @@ def test_a_published_manus_export_is_read(tmp_path, side):
         read_recording(path, other)
 
 
+def test_a_table_that_names_a_column_twice_or_not_is_refused(tmp_path):
+    """One of the two columns would be read, whichever it is."""
+    table = gloves.manus_table(moving())
+    (place,) = [i for i, name in enumerate(table[0]) if name == "Index_PIP_X"]
+    for name, message in (
+        ("Index_PIP_Y", "the header has the column Index_PIP_Y more than once"),
+        ("Index_PIP_W", "the header lacks 1 of 63 columns, such as Index_PIP_X"),
+    ):
+        table[0][place] = name
+        with pytest.raises(RecordingError, match=message):
+            read_recording(gloves.write_manus_csv(tmp_path, moving(), table))
+
+
 def zero_array(folder, hand, lost):
     fields = gloves.manus_fields(hand)
     fields["data"][lost] = 0.0
