@@ -57,66 +57,33 @@ def propose(
         UnknownNameError: the model has no such link.
     """
     structure = HandStructure(model.resolve(), palm)
-    plant = structure.plant
-    notes: list[str] = []
-    fingers: list[FingerDescription] = []  # with provisional names
-    sources: list[str] = []
-    for chain, label in zip(structure.chains, FINGER_NAMES, strict=False):
-        link, point, radius, source = find_tip(structure, chain)
-        (radius,) = _rounded([radius])
-        keypoint = TIP_KEYPOINT[label]
-        fingers.append(FingerDescription(label, keypoint, chain.joints, link.name(), _rounded(point), radius))
-        sources.append(source)
-    # In the frame R of the root link, with provisional finger names.
-    draft = HandDescription(
-        name=name or re.sub(r"\W+", "_", model.stem),
-        model=str(model.resolve()),
-        base_frame=structure.root,
-        fingers=fingers,
-        couplings=[
-            CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
-            for c in structure.couplings
-        ],
-    )
-    draft.default_positions = _default_positions(structure, draft)
+    draft, tip_sources = _draft(structure, name or re.sub(r"\W+", "_", model.stem), hulls)
+    notes = []
     if hulls:
-        draft.collide_as_drawn = _links_without_collisions(structure)
         notes.append(f"links that collide as they are drawn: {listed(draft.collide_as_drawn) or 'none'}")
     for joint in draft.joint_names:
-        if not plant.GetJointByName(joint, structure.hand).velocity_upper_limit() > 0:
+        if not structure.plant.GetJointByName(joint, structure.hand).velocity_upper_limit() > 0:
             notes.append(
                 f"the velocity limit 0 of joint '{joint}' counts as unknown: correct it in the model"
             )
     hand = Hand(draft)
     names, X_PB, side = arrange(structure, hand, notes)
-    guesses: dict[str, list[str]] = {}
-    for finger, source, label in zip(fingers, sources, names, strict=True):
-        if not source.startswith("a sphere"):
-            guesses.setdefault(source, []).append(f"{label} {1e3 * finger.tip_radius:.1f} mm")
-    notes += [
-        f"tips and their radii come from {source}: {', '.join(tips)}" for source, tips in guesses.items()
+    fingers = [
+        dc.replace(finger, name=label, human_keypoint=TIP_KEYPOINT[label])
+        for finger, label in zip(draft.fingers, names, strict=True)
     ]
-    for reason in dict.fromkeys(structure.held_joints.values()):
-        joints = listed([f"'{joint}'" for joint, why in structure.held_joints.items() if why == reason])
-        notes.append(f"joints are held at their default positions, as each {reason}: {joints}")
-    notes += structure.notes
-    palm_link, rpy_deg = structure.palm[0].name(), np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
-    frames = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
-    base = next(free for extra in ("", *range(2, 100)) if (free := f"{_BASE_NAME}{extra}") not in frames)
+    notes += [*_notes_on_tips(fingers, tip_sources), *_notes_on_held_joints(structure), *structure.notes]
     overlaps = _overlaps(hand)
     if overlaps:
         # First the pairs that can be apart.
         pairs = sorted(overlaps.items(), key=lambda item: item[1])
         texts = [f"'{a}' and '{b}' in {share:.0%} of postures" for (a, b), share in pairs]
         notes.append(f"contacts of links with overlapping shapes are ignored: {listed(texts)}")
-    fingers = [
-        dc.replace(finger, name=label, human_keypoint=TIP_KEYPOINT[label])
-        for finger, label in zip(fingers, names, strict=True)
-    ]
+    palm_link, rpy_deg = structure.palm[0].name(), np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
     description = dc.replace(
         draft,
         side=side,
-        base_frame=base,
+        base_frame=_new_frame_name(structure),
         base_pose=BasePoseDescription(palm_link, _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
         fingers=sorted(fingers, key=lambda finger: FINGER_NAMES.index(finger.name)),
         ignored_collisions=sorted([a, b] for a, b in overlaps),
@@ -133,6 +100,59 @@ def propose(
     elif (start != hand.default_position).any():
         description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
     return description, notes
+
+
+def _draft(structure: HandStructure, name: str, hulls: bool) -> tuple[HandDescription, list[str]]:
+    """Returns what is known without the hand base, and what each finger's tip was derived from.
+
+    The root link stands for the base, and the fingers have provisional names.
+    """
+    fingers: list[FingerDescription] = []
+    sources: list[str] = []
+    for chain, label in zip(structure.chains, FINGER_NAMES, strict=False):
+        link, point, radius, source = find_tip(structure, chain)
+        (radius,) = _rounded([radius])
+        keypoint = TIP_KEYPOINT[label]
+        fingers.append(FingerDescription(label, keypoint, chain.joints, link.name(), _rounded(point), radius))
+        sources.append(source)
+    draft = HandDescription(
+        name=name,
+        model=str(structure.path),
+        base_frame=structure.root,
+        fingers=fingers,
+        couplings=[
+            CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
+            for c in structure.couplings
+        ],
+        collide_as_drawn=_links_without_collisions(structure) if hulls else [],
+    )
+    draft.default_positions = _default_positions(structure, draft)
+    return draft, sources
+
+
+def _notes_on_tips(fingers: list[FingerDescription], sources: list[str]) -> list[str]:
+    tips: dict[str, list[str]] = {}
+    for finger, source in zip(fingers, sources, strict=True):
+        if not source.startswith("a sphere"):
+            tips.setdefault(source, []).append(f"{finger.name} {1e3 * finger.tip_radius:.1f} mm")
+    return [f"tips and their radii come from {source}: {', '.join(names)}" for source, names in tips.items()]
+
+
+def _notes_on_held_joints(structure: HandStructure) -> list[str]:
+    joints: dict[str, list[str]] = {}
+    for joint, reason in structure.held_joints.items():
+        joints.setdefault(reason, []).append(f"'{joint}'")
+    return [
+        f"joints are held at their default positions, as each {reason}: {listed(names)}"
+        for reason, names in joints.items()
+    ]
+
+
+def _new_frame_name(structure: HandStructure) -> str:
+    """Returns a name for the hand base that the model has not given to another frame."""
+    plant = structure.plant
+    frames = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
+    return next(name for number in ("", *range(2, 100)) if (name := f"{_BASE_NAME}{number}") not in frames)
 
 
 def _links_without_collisions(structure: HandStructure) -> list[str]:
