@@ -4,7 +4,7 @@ In MuJoCo's compiled model, defaults, includes, frames, units and references are
 read. Drake 1.51 resolves only some of these. MuJoCo is an extra, so this module is imported where it is used.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import mujoco
@@ -42,7 +42,7 @@ from pydrake.multibody.tree import (
     WeldJoint,
 )
 
-from geort_drake.errors import HandError, listed
+from geort_drake.errors import HandError, listed, naming
 from geort_drake.hands.description import CouplingDescription
 
 # The name of MuJoCo's world as a link of the hand.
@@ -329,54 +329,34 @@ def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str
         HandError: as `compile_mjcf`, or a coupling is not linear.
     """
     m, _ = compile_mjcf(path)
-    couplings: dict[str, CouplingDescription] = {}
-    notes: list[str] = []
-    equal: list[set[int]] = []
-    lengths: dict[int, float] = {}  # of tendons that an equality fixes
-    for number in np.flatnonzero(m.eq_active0):
-        kind, first, second = m.eq_type[number], int(m.eq_obj1id[number]), int(m.eq_obj2id[number])
-        constant, ratio, *higher = m.eq_data[number][:5]
-        if kind == _EQ_JOINT and second >= 0:
-            follower, leader_name = name_of(m, "joint", first), name_of(m, "joint", second)
-            if any(higher):
-                raise HandError(
-                    f"{path}: joint '{follower}' follows '{leader_name}' by a polynomial; expected two "
-                    f"coefficients, given: {m.eq_data[number][:5]}"
-                )
-            start, leader_start = m.qpos0[m.jnt_qposadr[[first, second]]]
-            offset = start + constant - ratio * leader_start
-            couplings[follower] = CouplingDescription(follower, leader_name, float(ratio), float(offset))
-            equal.append({first, second})
-        elif kind == _EQ_TENDON and second < 0:
-            lengths[first] = float(m.tendon_length0[first] + constant)
-        elif kind in (_EQ_CONNECT, _EQ_WELD) and 0 not in (first, second):
-            which = "site" if m.eq_objtype[number] == 6 else "body"
-            ends = [f"'{name_of(m, which, end)}'" for end in (first, second)]
-            notes.append(f"the closed loop at {' and '.join(ends)} is ignored: a hand must be a tree")
-    motor_joints = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_JOINT, _TRN_JOINT_IN_PARENT)}
-    motor_tendons = {int(m.actuator_trnid[motor][0]) for motor in _motors(m, _TRN_TENDON)}
+    with naming(path, HandError):
+        couplings, lengths, notes = _read_equalities(m)
+    coupled = [{coupling.joint, coupling.follows} for coupling in couplings.values()]
+    motor_joints = {name_of(m, "joint", joint) for joint in _driven(m, _TRN_JOINT, _TRN_JOINT_IN_PARENT)}
+    motor_tendons = _driven(m, _TRN_TENDON)
     ignored = []
     for tendon in range(m.ntendon):
         coefficients = _fixed_tendon(m, tendon)
+        if {*coefficients} in coupled:
+            continue
         coupling = None
-        if len(coefficients) == 2 and {*coefficients} not in equal:
-            leader, joint = sorted(coefficients)
+        if len(coefficients) == 2:
+            leader, joint = coefficients
             if leader not in motor_joints and joint in motor_joints:
                 leader, joint = joint, leader
             coefficient, leading = coefficients[joint], coefficients[leader]
             length = lengths.get(tendon, _narrow_length(m, tendon, min(abs(coefficient), abs(leading))))
-            names = name_of(m, "joint", joint), name_of(m, "joint", leader)
             if length is not None:
-                coupling = CouplingDescription(*names, -leading / coefficient, length / coefficient)
+                coupling = CouplingDescription(joint, leader, -leading / coefficient, length / coefficient)
             elif tendon in motor_tendons and not {joint, leader} & motor_joints:
-                coupling = CouplingDescription(*names, coefficient / leading, 0.0)
+                coupling = CouplingDescription(joint, leader, coefficient / leading, 0.0)
                 notes.append(
-                    f"one motor pulls '{names[1]}' and '{names[0]}'; assuming equal stiffness, '{names[0]}' "
-                    f"follows by {coupling.ratio:g}"
+                    f"one motor pulls '{leader}' and '{joint}'; assuming equal stiffness, '{joint}' follows "
+                    f"by {coupling.ratio:g}"
                 )
         if coupling is not None:
             couplings.setdefault(coupling.joint, coupling)
-        elif tendon in motor_tendons and {*coefficients} not in equal:
+        elif tendon in motor_tendons:
             ignored.append(f"'{name_of(m, 'tendon', tendon)}'")
     if ignored:
         notes.append(
@@ -385,16 +365,48 @@ def read_mjcf_couplings(path: Path) -> tuple[list[CouplingDescription], list[str
     return list(couplings.values()), notes
 
 
-def _motors(m: mujoco.MjModel, *transmissions: int) -> Iterator[int]:
-    return (motor for motor in range(m.nu) if m.actuator_trntype[motor] in transmissions)
+def _read_equalities(
+    m: mujoco.MjModel,
+) -> tuple[dict[str, CouplingDescription], dict[int, float], list[str]]:
+    """Returns the couplings of joints, by follower, the lengths of tendons that are fixed, and notes."""
+    couplings: dict[str, CouplingDescription] = {}
+    lengths: dict[int, float] = {}
+    notes = []
+    for number in np.flatnonzero(m.eq_active0):
+        kind, first, second = m.eq_type[number], int(m.eq_obj1id[number]), int(m.eq_obj2id[number])
+        constant, ratio, *higher = m.eq_data[number][:5]
+        if kind == _EQ_JOINT and second >= 0:
+            follower, leader = name_of(m, "joint", first), name_of(m, "joint", second)
+            if any(higher):
+                raise HandError(
+                    f"joint '{follower}' follows '{leader}' by a polynomial; expected two coefficients, "
+                    f"given: {m.eq_data[number][:5]}"
+                )
+            start, leader_start = m.qpos0[m.jnt_qposadr[[first, second]]]
+            offset = start + constant - ratio * leader_start
+            couplings[follower] = CouplingDescription(follower, leader, float(ratio), float(offset))
+        elif kind == _EQ_TENDON and second < 0:
+            lengths[first] = float(m.tendon_length0[first] + constant)
+        elif kind in (_EQ_CONNECT, _EQ_WELD) and 0 not in (first, second):
+            which = "site" if m.eq_objtype[number] == mujoco.mjtObj.mjOBJ_SITE.value else "body"
+            ends = [f"'{name_of(m, which, end)}'" for end in (first, second)]
+            notes.append(f"the closed loop at {' and '.join(ends)} is ignored: a hand must be a tree")
+    return couplings, lengths, notes
 
 
-def _fixed_tendon(m: mujoco.MjModel, tendon: int) -> dict[int, float]:
-    """Maps the joints of a fixed tendon to their coefficients; empty for a spatial tendon."""
+def _driven(m: mujoco.MjModel, *transmissions: int) -> set[int]:
+    """Returns the numbers of the joints or tendons that motors drive by these kinds of transmission."""
+    motors = (motor for motor in range(m.nu) if m.actuator_trntype[motor] in transmissions)
+    return {int(m.actuator_trnid[motor][0]) for motor in motors}
+
+
+def _fixed_tendon(m: mujoco.MjModel, tendon: int) -> dict[str, float]:
+    """Maps the joints of a fixed tendon, inner ones first, to their coefficients; empty for a spatial one."""
     parts = range(m.tendon_adr[tendon], m.tendon_adr[tendon] + m.tendon_num[tendon])
     if any(m.wrap_type[part] != _WRAP_JOINT for part in parts):
         return {}
-    return {int(m.wrap_objid[part]): float(m.wrap_prm[part]) for part in parts if m.wrap_prm[part] != 0}
+    joints = {int(m.wrap_objid[part]): float(m.wrap_prm[part]) for part in parts if m.wrap_prm[part] != 0}
+    return {name_of(m, "joint", joint): coefficient for joint, coefficient in sorted(joints.items())}
 
 
 def _narrow_length(m: mujoco.MjModel, tendon: int, coefficient: float) -> float | None:
