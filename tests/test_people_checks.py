@@ -109,6 +109,7 @@ def test_a_repairable_recording_is_read_with_a_warning(tmp_path, fault):
         ("a.npz", b"x", "not a readable NumPy file"),
         ("a.json", b'{"frames": [', "not JSON"),
         ("a.json", b'{"frames": 3}', "matches no known format"),
+        ("a.json", b'{"joints": [[1], [1, 2]]}', "contains joints, which matches no known format"),
         ("a.csv", b"", "the table is empty"),
         ("a.csv", b"\xff\xfe\x00", "not a text file in UTF-8"),
         ("a.pkl", b"x", r"not '\.pkl'"),

@@ -360,7 +360,10 @@ def _upright(X: np.ndarray, field: str) -> np.ndarray:
 def _xr_count(file: File) -> int:
     """Number of joints of an XR file: 26, 25, or another one if it is none."""
     if "joints" in file.fields:
-        width = (*np.shape(file.fields["joints"])[1:], 0)[0]
+        try:
+            width = (*np.shape(file.fields["joints"])[1:], 0)[0]
+        except ValueError:  # lists of different lengths
+            return 0
         return {26 * 16: 26, 25 * 16: 25}.get(width, width)
     lists = sum(isinstance(frame.get("joints"), list) for frame in file.frames)
     objects = sum(isinstance(frame.get("joints"), Mapping) or "poses" in frame for frame in file.frames)
