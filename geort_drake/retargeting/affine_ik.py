@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import GeortError
-from geort_drake.retargeting.base import Retargeter, keypoints_of, kinematics_of
+from geort_drake.retargeting.base import Retargeter, interface_of, kinematics_of
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 SAMPLES = 4000  # uniform joint angles, whose fingertips sample the robot's workspace
@@ -32,14 +32,14 @@ class AffineIK(Retargeter):
         Raises:
             GeortError: there are no frames, a finger hardly moves in them, or a coordinate is not finite.
         """
-        self._hand = robot = NumpyKinematics(kinematics_of(hand))
-        super().__init__(robot.finger_names, robot.joint_names, keypoints_of(hand), robot.lower, robot.upper)
+        super().__init__(*interface_of(hand))
+        self._hand = NumpyKinematics(kinematics_of(hand))
         p_HF = np.empty((0, 0, 3)) if p_HF is None else self.fingertips(p_HF)
         if p_HF.ndim != 3 or len(p_HF) == 0:
             raise GeortError("affine_ik needs recorded frames (T, F, 3) to find the human workspace")
         q = np.random.default_rng(seed).uniform(self.lower, self.upper, (SAMPLES, len(self.lower)))
         self._human, human_spread = _mean_and_spread(p_HF)
-        self._robot, robot_spread = _mean_and_spread(robot.fingertips(q))
+        self._robot, robot_spread = _mean_and_spread(self._hand.fingertips(q))
         if human_spread.min() < 1e-3:
             still = self.finger_names[int(human_spread.argmin())]
             raise GeortError(f"affine_ik needs moving fingertips; the {still} moves less than 1 mm")
@@ -69,8 +69,7 @@ class Hold(Retargeter):
 
     def __init__(self, hand: Any, p_HF: np.ndarray | None = None, **_options: Any):
         """See `Method.fit`."""
-        robot = kinematics_of(hand)
-        super().__init__(robot.finger_names, robot.joint_names, keypoints_of(hand), robot.lower, robot.upper)
+        super().__init__(*interface_of(hand))
 
     def _angles(self, p_HF: np.ndarray) -> np.ndarray:
         return np.tile(0.5 * (self.lower + self.upper), (len(p_HF), 1))

@@ -238,9 +238,11 @@ def kinematics_of(hand: Any) -> Any:
     return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
 
 
-def keypoints_of(hand: Any) -> Sequence[int] | None:
-    """Returns the keypoints of a hand model's fingertips; None for kinematics, whose names determine them."""
-    return hand.description.human_keypoints if hasattr(hand, "description") else None
+def interface_of(hand: Any) -> tuple:
+    """Returns the arguments of `Retargeter` for a hand model or kinematics, without the weights."""
+    robot = kinematics_of(hand)
+    keypoints = hand.description.human_keypoints if hasattr(hand, "description") else None
+    return robot.finger_names, robot.joint_names, keypoints, robot.lower, robot.upper
 
 
 def shape_of(axes: str, sizes: Mapping[str, int]) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ from torch.nn.functional import binary_cross_entropy_with_logits, cosine_similar
 
 from geort_drake.errors import UnknownNameError
 from geort_drake.hands.kinematics import HandKinematics
-from geort_drake.retargeting.base import keypoints_of, kinematics_of
+from geort_drake.retargeting.base import interface_of, kinematics_of
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.descent import Losses, Report, device_of, minimise, one_thread
 from geort_drake.retargeting.kinematics import add_buffers, fingertips
@@ -108,9 +108,7 @@ class RetargetingModel(nn.Module):
         layers = {f"weight{k}": weight for k, weight in enumerate(weights)}
         layers |= {f"bias{k}": bias for k, bias in enumerate(biases)}
         layers |= {"columns": np.array(self.columns)}
-        robot = kinematics_of(hand)
-        names, limits = (robot.finger_names, robot.joint_names), (robot.lower, robot.upper)
-        retargeter = MlpRetargeter(*names, keypoints_of(hand), *limits, layers)
+        retargeter = MlpRetargeter(*interface_of(hand), layers)
         retargeter.info = {"history": history}
         return retargeter
 

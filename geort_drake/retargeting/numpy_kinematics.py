@@ -48,21 +48,10 @@ class StackedChains(NamedTuple):
 
 
 class NumpyKinematics:
-    """Fingertips p_BF and their Jacobians of serial fingers with revolute joints.
-
-    Attributes:
-        finger_names: F names.
-        joint_names: n names in the order of q.
-        lower, upper: (n,) joint limits, rad.
-        tip_radius: radius of the fingertip spheres, m.
-        p_BW: (3,) the hand's wrist in its base, m.
-    """
+    """Fingertips p_BF and their Jacobians of serial fingers with revolute joints."""
 
     def __init__(self, kinematics: HandKinematics):
         """Takes the hand's kinematics, from `Hand.kinematics()` for example."""
-        self.finger_names, self.joint_names = kinematics.finger_names, kinematics.joint_names
-        self.lower, self.upper = kinematics.lower, kinematics.upper
-        self.tip_radius, self.p_BW = kinematics.tip_radius, kinematics.p_BW
         self._R, self._offset, K, self._p_tip, self._indices, self._coupling = StackedChains.of(kinematics)
         self._RK = self._R @ K
         self._RKK = self._RK @ K
@@ -115,7 +104,7 @@ def match_joints(hand: HandKinematics, mirrored: HandKinematics) -> tuple[np.nda
         return None
     rows, signs = np.zeros(len(hand.joint_names), dtype=int), np.ones(len(hand.joint_names))
     models = NumpyKinematics(hand), NumpyKinematics(mirrored)
-    middles = (0.5 * (each.lower + each.upper) for each in models)
+    middles = (0.5 * (each.lower + each.upper) for each in (hand, mirrored))
     # Corresponding joints move the fingertips to the same or to opposite sides.
     moves, others = (
         each.fingertips_and_jacobians(q[None])[1].sum((0, 1)).T
@@ -129,9 +118,9 @@ def match_joints(hand: HandKinematics, mirrored: HandKinematics) -> tuple[np.nda
         signs[theirs] = np.where((moves[joints] * others[theirs]).sum(-1) < 0, -1.0, 1.0)
     fractions = np.random.default_rng(0).uniform(size=(100, len(rows)))
     mirrored_fractions = np.where(signs > 0, fractions[:, rows], 1.0 - fractions[:, rows])
-    tips, mirrored_tips = (
-        each.fingertips(each.lower + part * (each.upper - each.lower))
-        for each, part in zip(models, (fractions, mirrored_fractions), strict=True)
+    tips = models[0].fingertips(hand.lower + fractions * (hand.upper - hand.lower))
+    mirrored_tips = models[1].fingertips(
+        mirrored.lower + mirrored_fractions * (mirrored.upper - mirrored.lower)
     )
     far = np.linalg.norm(tips - mirrored_tips, axis=-1).max()
     return (rows, signs) if far <= MIRROR_TOLERANCE_M else None

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from geort_drake.errors import HandError
-from geort_drake.retargeting.base import Retargeter, keypoints_of, kinematics_of
+from geort_drake.retargeting.base import Retargeter, interface_of, kinematics_of
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 SCALE = 1.6  # α, robot over human, from dex-retargeting's settings for the Allegro hand
@@ -41,16 +41,16 @@ class AnyTeleop(Retargeter):
             UnknownNameError: a finger's name has no keypoint.
             HandError: the hand lacks fingers that the method needs.
         """
-        self.kinematics = robot = NumpyKinematics(kinematics_of(hand))
-        super().__init__(robot.finger_names, robot.joint_names, keypoints_of(hand), robot.lower, robot.upper)
+        super().__init__(*interface_of(hand))
+        self.kinematics = NumpyKinematics(kinematics_of(hand))
         # Task vectors from an origin, which may be WRIST, to a tip: v = difference · tips − origin.
         self._vectors = self._pairs()
-        self._difference = np.zeros((len(self._vectors), len(robot.finger_names)))
+        self._difference = np.zeros((len(self._vectors), len(self.finger_names)))
         self._origin = np.zeros((len(self._vectors), 3))
         for row, (origin, tip) in enumerate(self._vectors):
             self._difference[row, tip] = 1.0
             if origin == WRIST:
-                self._origin[row] = robot.p_BW
+                self._origin[row] = kinematics_of(hand).p_BW
             else:
                 self._difference[row, origin] = -1.0
         self.reset()

@@ -44,7 +44,8 @@ class Oracle:
 
     def __init__(self, hand: Hand):
         self.description, self.joint_names = hand.description, hand.joint_names
-        self._hand = NumpyKinematics(hand.kinematics())
+        self._kinematics = NumpyKinematics(hand.kinematics())
+        self._limits = hand.lower, hand.upper
         person = HumanHand.measured_adult()
         self._p_HK = person.keypoints(0.5 * (person.lower + person.upper))
         # Not the default posture, whose straight fingers are singular.
@@ -77,12 +78,12 @@ class Oracle:
     def _solve(self, q: np.ndarray, targets: np.ndarray, iterations: int) -> np.ndarray:
         n = len(q)
         for _ in range(iterations):
-            tips, J = self._hand.fingertips_and_jacobians(q[None])
+            tips, J = self._kinematics.fingertips_and_jacobians(q[None])
             J = J.reshape(-1, n)
             inverse = J.T @ np.linalg.inv(J @ J.T + DAMPING**2 * np.eye(len(J)))
             step = inverse @ (targets - tips[0]).ravel()
             step += PULL * (np.eye(n) - inverse @ J) @ (self._start - q)
-            q = np.clip(q + np.clip(step, -LARGEST_STEP, LARGEST_STEP), self._hand.lower, self._hand.upper)
+            q = np.clip(q + np.clip(step, -LARGEST_STEP, LARGEST_STEP), *self._limits)
         return q
 
 

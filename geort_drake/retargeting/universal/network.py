@@ -140,13 +140,12 @@ class UniversalNetwork(nn.Module):
         """Sets the weights to the `arrays` of an equal network.
 
         Raises:
-            TrainingError: an array is missing or has another shape.
+            TrainingError: an array has another shape.
         """
         for name, value in self._tensors().items():
-            if name not in arrays or arrays[name].shape != value.shape:
-                shape = arrays[name].shape if name in arrays else "missing"
+            if arrays[name].shape != value.shape:
                 raise TrainingError(
-                    f"the map to start from: {name} must be {tuple(value.shape)}, it is {shape}"
+                    f"the map to start from: {name} must be {tuple(value.shape)}, it is {arrays[name].shape}"
                 )
             value.copy_(torch.as_tensor(arrays[name]))
 

@@ -5,7 +5,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,9 +19,10 @@ from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT
 from geort_drake.people.recording import PINCH_M
 from geort_drake.people.synthetic.population import sample_population
+from geort_drake.retargeting.base import interface_of
 from geort_drake.retargeting.clouds import first_in_voxels
 from geort_drake.retargeting.collision import CollisionGaps
-from geort_drake.retargeting.descent import device_of, one_thread
+from geort_drake.retargeting.descent import Report, device_of, one_thread
 from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.soap import Soap
 from geort_drake.retargeting.universal.losses import (
@@ -39,8 +40,6 @@ from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_s
 
 AVERAGE_EVERY = 5  # steps, within which weights hardly move
 SAVE_EVERY_S = 30.0
-# Called as report(steps done, total steps, figures by name) about a hundred times per training.
-Report = Callable[[int, int, dict[str, float]], None]
 
 
 class TrainingPeople:
@@ -404,8 +403,7 @@ def train_universal(
                 training.step % max(settings.steps // 100, 1) == 0 or training.step == settings.steps
             ):
                 report(training.step, settings.steps, training.figures())
-    limits = (kinematics.lower, kinematics.upper)
-    result = UniversalRetargeter(names, kinematics.joint_names, None, *limits, training.result().arrays())
+    result = UniversalRetargeter(*interface_of(kinematics), training.result().arrays())
     result.info = {
         "method": "universal",
         "config": {**dataclasses.asdict(settings), "seed": seed, "device": device},
