@@ -54,11 +54,12 @@ class UniversalSettings:
     posture_weight: float = 8.0
     posture_first: float = 4.0  # factor on it at first, because fingers keep a wrong posture once formed
     posture_first_share: float = 0.12  # fraction of the steps in which this factor falls to 1
-    # Size:
+    # Size and cross-talk:
     # Quantile of the affine fits of all people, which stands for those who use their range most, because the
     # shape of a hand does not tell how far its owner moves it.
     size_quantile: float = 0.05
     gain_band: tuple[float, float] = (-0.22, 0.5)  # log of gain over that fit's: 20 % below to 65 % above
+    cross_talk_floor_m: float = 1e-4  # motion that hardly counts, so that gradients stay finite
     least_cosine: float = 0.3  # of a motion that a fingertip with one or two joints can follow
     # Pinches, with robot distances in fingertip radii, of which contact takes two:
     pinch_target: float = 0.875  # distance at which pinches aim, so that noise does not open them
@@ -71,6 +72,7 @@ class UniversalSettings:
     # Self-collision:
     collision_near_m: float = 0.003  # gap below which pairs of links are examined
     collision_margin_m: float = 0.001  # gap that is wanted
+    collision_remembered_m: float = 0.002  # gap below which a hand is remembered
     collision_depth_m: float = 0.002  # overlap that counts
     collision_scale_m: float = 0.0025  # unit of the loss
     collision_jitter_m: float = 0.004  # deviation of remembered fingertips, so that their surroundings count
@@ -94,6 +96,8 @@ class UniversalSettings:
     spread_m: float = 0.006  # standard deviation of these displacements
     pinch_reach_m: float = 0.035  # fingertips closer than this are moved together in synthetic pinches
     pinch_spread_m: float = 0.005  # standard deviation of synthetic pinches from recorded ones
+    pinch_turn_m: float = 0.002  # standard deviation of both fingertips against each other, which turns them
+    pinch_mixed: float = 0.5  # fraction of synthetic pinches whose other fingers are from other frames
     # Network:
     finger_units: int = 64  # width of both hidden layers of a finger
     residual_units: int = 128  # width of both hidden layers of the residual
@@ -101,15 +105,19 @@ class UniversalSettings:
     # Descent:
     learning_rate: float = 0.003  # of SOAP; falls to zero along half a cosine
     warm_up: int = 100  # steps in which the learning rate rises
-    weight_decay: float = 0.01  # three times as much for parts that see combinations
+    weight_decay: float = 0.01  # of the fingers' networks
+    shared_weight_decay: float = 0.03  # of parts that see combinations, which would fit the training's people
     momentum: tuple[float, float] = (0.95, 0.99)  # high, because gradients differ between people
     clip: float = 2.0  # largest norm of a gradient
     averaged_steps: int = 90  # time constant of the average of the weights
+    average_every: int = 5  # steps from one average to the next, in which weights hardly move
     multiplier_start: float = 1.0  # of every constraint
     multiplier_rate: float = 0.006  # change of its logarithm per step at twice the bound
     # The same of collision, whose loss is on hands chosen because they collide; a fast multiplier would drown
     # all other losses.
     collision_rate: float = 0.0006
+    # Limits of a figure's relative excess over its bound, so that a bad figure moves no multiplier far.
+    violation_bounds: tuple[float, float] = (-0.5, 1.5)
     multiplier_bounds: tuple[float, float] = (0.1, 30.0)  # limits of a multiplier
     figure_averaging: float = 0.02  # weight of a batch in the running mean of a figure
     robot_samples: int = 60_000  # joint angles whose fingertips make up the robot's workspace
@@ -227,7 +235,9 @@ class Criteria:
         terms = {
             "direction": _same_figure(_worse_half((1.0 - cosine).mean(1))),
             "track": _same_figure(_worse_half(self._track(hands, after - before))),
-            "cross_talk": _same_figure(_worse_half(_cross_talk(motion, hands.finger))),
+            "cross_talk": _same_figure(
+                _worse_half(_cross_talk(motion, hands.finger, self._settings.cross_talk_floor_m))
+            ),
             "size": self._size_error(finger_motion, cosine, hands),
             **self._pinches(hands, pinching),
             "false_pinch": self._false_pinches(seen, seen_tips),
@@ -300,10 +310,9 @@ class NearCollisions:
     def search(self, network: Network, hands: Hands) -> torch.Tensor:
         """Remembers the hands of a batch that nearly collide; returns the fraction of `after` colliding."""
         settings, seen = self._settings, hands.seen
-        margin, depth = settings.collision_margin_m, settings.collision_depth_m
         q = network(seen, hands.shapes)
         gap = self._gaps.least(q.flatten(0, 1), settings.collision_near_m)
-        is_near = gap < margin + 0.5 * depth
+        is_near = gap < settings.collision_remembered_m
         shapes = hands.shapes[:, None].expand(-1, seen.shape[1], -1)
         memory = [each.flatten(0, 1)[is_near] for each in (seen, shapes)]
         if self.memory:
@@ -311,7 +320,7 @@ class NearCollisions:
         self.memory = [each[: settings.remembered_collisions] for each in memory]
         first = hands.moved.shape[1]
         recorded_gap = gap.reshape(len(q), -1)[:, first : first + hands.after.shape[1]]
-        return (recorded_gap < -depth).float().mean()
+        return (recorded_gap < -settings.collision_depth_m).float().mean()
 
     def loss(self, network: Network) -> torch.Tensor | None:
         """Returns the mean depth beyond the margin; None while few hands are remembered."""
@@ -347,17 +356,18 @@ class Multipliers:
         """Updates the multipliers from the figures of a batch."""
         settings = self._settings
         least, most = settings.multiplier_bounds
+        lowest, highest = settings.violation_bounds
         for name, figure in figures.items():
             value = float(figure.detach())
             mean = self.figures.get(name, value)
             self.figures[name] = mean = mean + settings.figure_averaging * (value - mean)
-            violation = min(max(mean / self._bounds[name] - 1.0, -0.5), 1.5)
+            violation = min(max(mean / self._bounds[name] - 1.0, lowest), highest)
             rate = settings.collision_rate if name == "collision" else settings.multiplier_rate
             value = self.values[name] * math.exp(rate * violation)
             self.values[name] = min(max(value, least), most)
 
 
-def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float = 1e-4) -> torch.Tensor:
+def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float) -> torch.Tensor:
     """Returns (G,) the others' mean motion over the moved finger's; `floor`, m, keeps gradients finite."""
     length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
     length_moved = length.gather(2, finger[..., None])[..., 0]

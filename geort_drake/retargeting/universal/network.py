@@ -89,13 +89,13 @@ class UniversalNetwork(nn.Module):
             if name in _RANDOM:
                 self.p[name] = torch.randn(shape, generator=generator) / math.sqrt(shape[-2])
 
-    def groups(self, weight_decay: float) -> list[dict]:
-        """Returns parameter groups for an optimiser; parts that see combinations decay faster."""
+    def groups(self, weight_decay: float, shared_weight_decay: float) -> list[dict]:
+        """Returns an optimiser's parameter groups: the fingers' networks, and parts that see combinations."""
         fingers = [value for name, value in self.p.items() if "_" not in name]
         shared = [value for name, value in self.p.items() if "_" in name]
         return [
             {"params": fingers, "weight_decay": weight_decay},
-            {"params": shared, "weight_decay": 3.0 * weight_decay},
+            {"params": shared, "weight_decay": shared_weight_decay},
         ]
 
     def forward(self, p_HF: torch.Tensor, shapes: torch.Tensor) -> torch.Tensor:

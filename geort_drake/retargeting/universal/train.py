@@ -38,7 +38,6 @@ from geort_drake.retargeting.universal.losses import (
 from geort_drake.retargeting.universal.network import UniversalNetwork
 from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_shape, thumb_and_others
 
-AVERAGE_EVERY = 5  # steps, within which weights hardly move
 SAVE_EVERY_S = 30.0
 
 
@@ -141,12 +140,12 @@ class TrainingPeople:
         hands, pair = self._hands[rows, chosen], self._pair[rows, chosen]
         first, second = torch.full_like(pair, self._thumb), self._others[pair]
         a, b = (of_finger(hands, finger) for finger in (first, second))
-        half = 0.5 * (b - a)[..., :3] + 0.002 * self._normal(*shape, 3)
+        half = 0.5 * (b - a)[..., :3] + s.pinch_turn_m * self._normal(*shape, 3)
         length = half.norm(dim=-1, keepdim=True) + 1e-9
         half = half * (0.5 * PINCH_M * self._uniform(*shape, 1) / length).clamp(max=1)
         middle = 0.5 * (a + b)[..., :3] + s.pinch_spread_m * self._normal(*shape, 3)
         elsewhere = self._hands[rows, self._below(self._hands.shape[1], *shape)]
-        hands = torch.where(self._uniform(*shape, 1, 1) < 0.5, elsewhere, hands)
+        hands = torch.where(self._uniform(*shape, 1, 1) < s.pinch_mixed, elsewhere, hands)
         for finger, point, direction in ((second, middle + half, b), (first, middle - half, a)):
             new = torch.cat([point, direction[..., 3:]], -1)[:, :, None]
             hands = torch.where(self._one_hot(finger)[..., None], new, hands)
@@ -248,10 +247,12 @@ class Training:
         gaps.keep_pairs_that_meet(q[:4000], settings.collision_margin_m)
         self.collisions = NearCollisions(gaps.to(device), settings, self._generator)
         self.multipliers = Multipliers({name: getattr(settings, name) for name in CONSTRAINTS}, settings)
-        groups = self.network.groups(settings.weight_decay)
+        groups = self.network.groups(settings.weight_decay, settings.shared_weight_decay)
         self._optimiser = Soap(groups, lr=settings.learning_rate, betas=settings.momentum, clip=settings.clip)
         decay = max(1.0 - settings.averaged_steps / settings.steps, 0.0)
-        self._average = AveragedModel(self.network, multi_avg_fn=get_ema_multi_avg_fn(decay**AVERAGE_EVERY))
+        self._average = AveragedModel(
+            self.network, multi_avg_fn=get_ema_multi_avg_fn(decay**settings.average_every)
+        )
         self._posture, self._collided = 1.0, torch.zeros((), device=device)
         # What `save` keeps: states of these parts, and these attributes.
         self._parts: dict[str, Any] = {
@@ -303,7 +304,7 @@ class Training:
         total.backward()
         self._optimiser.step()
         self.step += 1
-        if 2 * self.step >= s.steps and (s.steps - self.step) % AVERAGE_EVERY == 0:
+        if 2 * self.step >= s.steps and (s.steps - self.step) % s.average_every == 0:
             self._average.update_parameters(self.network)
         self.seconds += time.perf_counter() - started
 
