@@ -238,7 +238,9 @@ def kinematics_of(hand: Any) -> Any:
     return hand.kinematics().mirrored() if hand.description.side == "left" else hand.kinematics()
 
 
-def interface_of(hand: Any) -> tuple:
+def interface_of(
+    hand: Any,
+) -> tuple[Sequence[str], Sequence[str], Sequence[int] | None, np.ndarray, np.ndarray]:
     """Returns the arguments of `Retargeter` for a hand model or kinematics, without the weights."""
     robot = kinematics_of(hand)
     keypoints = hand.description.human_keypoints if hasattr(hand, "description") else None
