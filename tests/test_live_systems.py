@@ -77,6 +77,12 @@ def test_the_stream_gives_the_newest_frame_and_holds_it():
     assert "a left hand is sent" in bench.glove.refusing
 
 
+def test_a_flood_of_messages_is_not_decoded_whole():
+    bench = StreamBench()
+    assert bench.after(*[message(i) for i in range(100)])["stamp"] == PLAY.t[99]
+    assert bench.glove.received <= 5
+
+
 def test_a_stamp_of_this_machines_clock_gives_the_time_of_sending():
     """With another clock, or without a stamp, the arrival counts."""
     bench = StreamBench()

@@ -27,6 +27,8 @@ MAX_LATENESS_S = 0.2
 # A sender's clock that runs slow by more than this is reported, s/s.
 _NOTABLE_DRIFT = 0.005
 HANDSHAKE_FRAMES = 5
+# Of messages that arrive at once, these newest ones are decoded: all of a flood would block the loop.
+_MOST_DECODED = 5
 
 # Fields of the state, which are named like their ports.
 _FIELDS = np.dtype(
@@ -80,7 +82,7 @@ class GloveReceiver:
             MismatchError: another version, unit or hand, unless `tolerant`.
         """
         frames = []
-        for message in self._socket.drain():
+        for message in self._socket.drain()[-_MOST_DECODED:]:
             try:
                 frame = decode(message, self._side, self._glove_id)
             except LiveError as error:
