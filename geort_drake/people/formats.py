@@ -444,7 +444,8 @@ def _columns(path: Path, text: str) -> dict[str, list[str]]:
         raise RecordingError(f"{path}: the table is empty")
     header, *rows = csv.reader(lines, delimiter=max(",;\t", key=lines[0].count))
     names = [name.strip() for name in header]
-    if twice := [name for name in names if name and names.count(name) > 1]:
+    # Numbers are no names: a table without a header matches no format, which tells more.
+    if twice := [name for name in names if name[:1].isalpha() and names.count(name) > 1]:
         raise RecordingError(f"{path}: the header has the column {twice[0]} more than once")
     rows = [[cell.strip() for cell in row[: len(names)]] for row in rows]
     return {name: cells for name, *cells in itertools.zip_longest(names, *rows, fillvalue="")}
