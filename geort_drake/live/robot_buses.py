@@ -9,7 +9,6 @@ Messages are decoded here and not by Drake's LcmSubscriberSystem, which ends the
 nor by its PandaStatusReceiver, which passes on numbers that are not finite.
 """
 
-import functools
 import math
 import struct
 from collections.abc import Callable, Iterable, Sequence
@@ -21,15 +20,7 @@ from pydrake.manipulation import PandaControlMode
 
 from geort_drake.errors import HandError, LiveError
 from geort_drake.hands.description import HandDescription
-from geort_drake.live.joint_messages import (
-    Bus,
-    Incoming,
-    JointState,
-    JointTargets,
-    Outgoing,
-    open_driver_bus,
-    open_zmq_bus,
-)
+from geort_drake.live.joint_messages import Bus, JointState, JointTargets, open_driver_bus, open_zmq_bus
 from geort_drake.live.transports import split_address
 
 
@@ -140,45 +131,39 @@ PANDA = LcmDevice(
 _DEVICES = (ALLEGRO, PANDA)
 
 
-class LcmBus(Bus[Outgoing, Incoming]):
+class LcmBus(Bus[Any, Any]):
     """Drake's messages for all devices on an LCM bus.
 
     Args:
         url: LCM URL.
-        sends: ending of the channels to which it sends, and the method that encodes for a device.
-        receives: ending of the channels that it receives, and the method that decodes a device's messages.
+        driver: whether this is the driver's end, which receives commands and sends statuses.
     """
 
     arm_is_required = True
 
-    def __init__(
-        self,
-        url: str,
-        sends: tuple[str, Callable[[LcmDevice, Outgoing], bytes]],
-        receives: tuple[str, Callable[[LcmDevice, bytes], Incoming]],
-    ):
+    def __init__(self, url: str, driver: bool):
         super().__init__()
-        self._lcm = DrakeLcm(url)
-        self._ending: str = sends[0]
-        self._encode: Callable[[LcmDevice, Outgoing], bytes] = sends[1]
-        self._messages: list[tuple[Callable[[bytes], Incoming], bytes]] = []
-        ending, decode = receives
+        self._lcm, self._driver = DrakeLcm(url), driver
+        self._arrived: list[tuple[Callable[[bytes], Any], bytes]] = []
         for device in _DEVICES:
-            decoder: Callable[[bytes], Incoming] = functools.partial(decode, device)
+            decode = device.decode_command if driver else device.decode_status
             self._lcm.Subscribe(
-                f"{device.channel}_{ending}",
-                lambda message, decoder=decoder: self._messages.append((decoder, message)),
+                f"{device.channel}_{'COMMAND' if driver else 'STATUS'}",
+                lambda message, decode=decode: self._arrived.append((decode, message)),
             )
 
-    def send(self, message: Outgoing) -> None:
+    def send(self, message: Any) -> None:
         for device in _DEVICES:
-            self._lcm.Publish(f"{device.channel}_{self._ending}", self._encode(device, message))
+            if self._driver:
+                self._lcm.Publish(f"{device.channel}_STATUS", device.encode_status(message))
+            else:
+                self._lcm.Publish(f"{device.channel}_COMMAND", device.encode_command(message))
 
-    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Incoming], bytes]]:
+    def _arrivals(self) -> Iterable[tuple[Callable[[bytes], Any], bytes]]:
         # LCM keeps only one message per channel, so this must be called often.
         self._lcm.HandleSubscriptions(0)
-        messages, self._messages = self._messages, []
-        return messages
+        arrivals, self._arrived = self._arrived, []
+        return arrivals
 
 
 def open_bus(address: str, description: HandDescription, driver: bool = False) -> Bus:
@@ -198,6 +183,4 @@ def open_bus(address: str, description: HandDescription, driver: bool = False) -
             "lcmt_allegro_command and lcmt_allegro_status. Every hand can be driven over ZeroMQ: "
             "zmq+tcp://127.0.0.1:5557"
         )
-    if driver:
-        return LcmBus(endpoint, ("STATUS", LcmDevice.encode_status), ("COMMAND", LcmDevice.decode_command))
-    return LcmBus(endpoint, ("COMMAND", LcmDevice.encode_command), ("STATUS", LcmDevice.decode_status))
+    return LcmBus(endpoint, driver)
