@@ -8,7 +8,7 @@ import math
 import os
 import shutil
 import stat
-import tempfile
+import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from geort_drake.errors import OutputError
 # Errors of a full disk or a read-only location.
 _UNWRITABLE = {
     errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.ELOOP, errno.ENAMETOOLONG, errno.ENOSPC, errno.ENOTDIR,
-    errno.ENXIO, errno.EPERM, errno.EROFS,
+    errno.EPERM, errno.EROFS,
 }  # fmt: skip
 
 
@@ -32,8 +32,7 @@ def writing(target: str | os.PathLike) -> Iterator[None]:
     except OSError as error:
         if error.errno not in _UNWRITABLE:
             raise
-        reason = "no program reads it" if error.errno == errno.ENXIO else error.strerror
-        raise OutputError(f"{target}: cannot be written: {reason}") from error
+        raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
 
 
 @contextlib.contextmanager
@@ -43,44 +42,30 @@ def atomic_path(target: str | os.PathLike) -> Iterator[Path]:
     On an exception nothing is left behind and an earlier `target` stays. If the process is killed or the
     machine fails, `target` is complete, either old or new; a hidden temporary file may remain. A symbolic
     link stays, and the file to which it points is replaced; the new file has the permissions of the old one.
-    What is no regular file, such as a device or a pipe with a reader, is written to.
 
     Raises:
-        OutputError: the disk is full, the location is not writable, or `target` is a folder or is
+        OutputError: the disk is full, the location is not writable, or `target` is no file or is
             write-protected.
     """
     original = Path(target)
     with writing(original):
-        if original.is_dir():
-            raise OutputError(f"{original}: is a directory, not a file")
-        _require_permission(original)
-        special = original.exists() and not original.is_file()
-        # Opened at once, so that a pipe without a reader is refused before the work.
-        stream = open(os.open(original, os.O_WRONLY | os.O_NONBLOCK), "wb") if special else None
-        target = original if special else Path(os.path.realpath(original))
-        if not special and target.is_symlink():
+        _require_file(original)
+        target = Path(os.path.realpath(original))
+        if target.is_symlink():
             raise OutputError(f"{original}: is a link to itself")
-        folder = None if special else target.parent
-        if folder is not None:
-            folder.mkdir(parents=True, exist_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
         # With the target's suffix, because writers such as np.savez append theirs otherwise.
+        draft = _draft(target, target.suffix)
         try:
-            handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=target.suffix, dir=folder)
+            draft.touch()
         except FileNotFoundError as error:  # a folder that takes no files, such as /proc
             raise OutputError(f"{original}: cannot create a file there") from error
-        os.close(handle)
-        draft = Path(name)
         try:
             yield draft
-            if stream is not None:
-                with stream, draft.open("rb") as contents:
-                    os.set_blocking(stream.fileno(), True)
-                    shutil.copyfileobj(contents, stream)
-                draft.unlink()
-            else:
-                draft.chmod(_permissions(target, 0o666))
-                _to_disk(draft)
-                os.replace(draft, target)
+            if target.exists():
+                shutil.copymode(target, draft)
+            _to_disk(draft)
+            os.replace(draft, target)
         except BaseException:
             draft.unlink(missing_ok=True)
             raise
@@ -100,17 +85,17 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
     if target.exists() and not target.is_dir():
         raise OutputError(f"{target}: is a file, not a directory")
     with writing(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+        draft = _draft(target)
+        draft.mkdir(parents=True)
         backup = draft.with_name(f"{draft.name}-old")
         try:
             yield draft
-            draft.chmod(_permissions(target, 0o777))
             for path in draft.rglob("*"):
                 if path.is_file():
                     _to_disk(path)
             # rename() cannot replace a directory that contains files, so the old one is moved first.
             if target.exists():
+                shutil.copymode(target, draft)
                 os.replace(target, backup)
             try:
                 os.replace(draft, target)
@@ -123,6 +108,11 @@ def atomic_directory(target: str | os.PathLike) -> Iterator[Path]:
             raise
         if backup.exists():
             shutil.rmtree(backup)
+
+
+def _draft(target: Path, suffix: str = "") -> Path:
+    """Returns a hidden path beside `target` that does not exist."""
+    return target.with_name(f".{target.stem}-{uuid.uuid4().hex[:8]}{suffix}")
 
 
 @contextlib.contextmanager
@@ -172,20 +162,13 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
         target: a file, or with `directory` a folder that may exist already.
 
     Raises:
-        OutputError: the nearest existing parent is not a folder or not writable, or a file is
-            write-protected.
+        OutputError: the nearest existing parent is not a folder or not writable, or `target` is no file or
+            is write-protected.
     """
-    original = Path(target)
-    # Messages name the path as it was given.
+    original = Path(target)  # messages name the path as it was given
     target = Path(os.path.realpath(original)) if original.is_symlink() else original
-    if not directory and target.is_dir():
-        raise OutputError(f"{original}: is a directory, not a file")
     if not directory:
-        _require_permission(original)
-    if not directory and target.exists() and not (target.is_file() or target.is_dir()):
-        if not os.access(target, os.W_OK):
-            raise OutputError(f"{original}: cannot be written to")
-        return
+        _require_file(original)
     candidates = (target, *target.parents) if directory else target.parents
     nearest = next(path for path in candidates if path.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
@@ -193,15 +176,14 @@ def require_writable(target: str | os.PathLike, directory: bool = False) -> None
         raise OutputError(f"{original}: {where}is not a directory that can be written to")
 
 
-def _require_permission(path: Path) -> None:
-    """Refuses a file that somebody has write-protected, although its folder would let it be replaced."""
+def _require_file(path: Path) -> None:
+    """Refuses what exists and is no file, and a write-protected file, which its folder lets be replaced."""
+    if path.is_dir():
+        raise OutputError(f"{path}: is a directory, not a file")
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path}: is no regular file, which could be replaced")
     if path.is_file() and not stat.S_IMODE(path.stat().st_mode) & 0o222:
         raise OutputError(f"{path}: is write-protected")
-
-
-def _permissions(target: Path, default: int) -> int:
-    """Returns the permissions of an existing file or folder, else the default less the umask."""
-    return stat.S_IMODE(target.stat().st_mode) if target.exists() else default & ~_umask()
 
 
 def is_replaceable(target: str | os.PathLike, mark: str) -> bool:
@@ -248,12 +230,6 @@ def source_digest(*subpackages: str) -> str:
     """Hexadecimal SHA-256 of the code of subpackages of geort_drake."""
     package = Path(__file__).resolve().parent
     return digest_of(package, [package / name for name in subpackages])
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def finite_json(content: Any) -> Any:
