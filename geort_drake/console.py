@@ -103,14 +103,6 @@ class Display(Progress):
 
         return report
 
-    @contextlib.contextmanager
-    def spinner(self, label: str) -> Iterator[None]:
-        """Shows a bar of one step for the duration of a block."""
-        update = self.counter(label)
-        update(0, 1)
-        yield
-        update(1, 1)
-
 
 _NUMBERS = (MofNCompleteColumn, TimeElapsedColumn, TimeRemainingColumn)
 _display: Display | None = None

@@ -1,6 +1,7 @@
 """The command that trains maps."""
 
 import dataclasses
+import itertools
 import time
 import warnings
 from collections.abc import Iterator
@@ -74,7 +75,7 @@ class Train(Command):
 
     def run(self) -> int:
         from geort_drake import Hand, evaluate, train_map
-        from geort_drake.console import print_table, progress_bar, warn
+        from geort_drake.console import console, print_table, warn
         from geort_drake.retargeting.train import training_recording
 
         if self.universal:
@@ -95,7 +96,7 @@ class Train(Command):
                 show_progress=not self.quiet,
             )
         duration = time.perf_counter() - start
-        with progress_bar(not self.quiet) as bars, bars.spinner("evaluation"):
+        with console.status("evaluation"):
             metrics = evaluate(retargeter, hand, recording, self.seed)
         metrics = {
             "hand": hand.description.name,
@@ -106,7 +107,7 @@ class Train(Command):
         retargeter.info["metrics"] = metrics
         retargeter.save(self.output)
         title = f"{self.method} on {metrics['hand']}, seed {self.seed}, {duration:.0f} s"
-        print_table(("metric", "value"), metric_rows(metrics), title)
+        print_table(("metric", "value"), _rows(metrics), title)
         for text in retargeter.info["provenance"]["warnings"]:
             warn(text)
         write_json(self.json, metrics)
@@ -220,21 +221,11 @@ def _other_side(hand: "Hand") -> "Hand | None":
     return model if model.description.side == other else None
 
 
-def metric_rows(metrics: dict) -> Iterator[tuple[str, str]]:
-    """Yields names of metrics and their values as text."""
+def _rows(metrics: dict) -> Iterator[tuple[str, str]]:
+    """Yields names and values of the metrics that `geort-drake evaluate` shows."""
+    from geort_drake.metrics.compare import TABLES, flat
 
-    def text(form: str, *values: float | None) -> str:
-        return " / ".join("–" if value is None else form.format(value) for value in values)
-
-    pinch = metrics["pinch"]
-    yield "motion preservation", text("{:.3f}", metrics["motion_preservation"])
-    yield "motion preservation, recorded steps", text("{:.3f}", metrics["motion_preservation_track"])
-    yield "C-space coverage at 5 / 10 / 15 mm", text("{:.2f}", *metrics["coverage"].values())
-    yield "flatness", text("{:.3f}", metrics["flatness"])
-    yield "gain, 95th over 5th percentile", text("{:.1f}", metrics["gain_p95_p5"])
-    yield "pinches closed", text("{:.1%}", pinch["closed"])
-    yield "pinches too deep", text("{:.1%}", pinch["too_deep"])
-    yield "pinch distance, mean", text("{:.1f} mm", pinch["mean_mm"])
-    yield "false pinches", text("{:.2%}", pinch["false"])
-    yield "self-collision over 2 mm", text("{:.1%}", metrics["self_collision"])
-    yield "latency, median / p99", text("{:.0f}", *metrics["latency_us"].values()) + " µs"
+    values = dict(flat(metrics))
+    for column in itertools.chain.from_iterable(TABLES.values()):
+        if (value := values.get(column.metric)) is not None:
+            yield column.metric.translate(str.maketrans("_.", "  ")), column.form.format(value)

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -113,7 +114,9 @@ def write_lerobot(
             total += frames
             yield episode.name
         _write(draft / EPISODES_PATH, pa.Table.from_pylist(lines))
-        _write(draft / TASKS, _task_table(list(tasks)))
+        # LeRobot reads the tasks by pandas, with the text as index.
+        table = pd.DataFrame({"task_index": tasks.values()}, index=pd.Index(tasks, name="task"))
+        table.to_parquet(draft / TASKS)
         info = {
             "codebase_version": VERSION,
             "robot_type": robot,
@@ -196,19 +199,3 @@ def _statistics(values: np.ndarray) -> dict[str, list]:
         "count": [len(values)],
         **{name: row.tolist() for name, row in zip(_QUANTILES, quantiles, strict=True)},
     }
-
-
-def _task_table(tasks: list[str]) -> pa.Table:
-    """Makes the table of tasks; its metadata make pandas use the column "task" as the index."""
-    types = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
-    pandas = {
-        "index_columns": ["task"],
-        "column_indexes": [],
-        "columns": [
-            {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-            for name, (kind, numpy) in types.items()
-        ],
-        "pandas_version": "2.0.0",
-    }
-    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)})
-    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
