@@ -91,9 +91,9 @@ class Grasp(Command, ScenarioOptions):
         from geort_drake.simulation.trial import Trial, TrialBuilder
 
         # Checks the whole request before anything is computed or written.
-        require_output_folder(self.output, RESULTS)
         base, replay = self._request()
         scenarios = self.scenarios_of(base, replay)
+        require_output_folder(self.output, RESULTS)
         hand = Hand(base.hand)
         method = self.retargeter or default_method(hand)
         names_of([method], hand)  # refuses an unusable one

@@ -13,7 +13,7 @@ import numpy as np
 
 from geort_drake.errors import RecordingError, naming
 from geort_drake.files import atomic_path
-from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT, mirrored, to_wrist_frame, wrist_pose
+from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT, mirrored, wrist_pose
 
 # Incremented when the meaning of p_HK changes, so that old files are recognised.
 CONVENTION = 1
@@ -195,10 +195,11 @@ class Recording:
             )
         p_VK = mirrored(p_WK) if side == "left" else p_WK
         with np.errstate(invalid="ignore", over="ignore"):
-            p_HK = to_wrist_frame(p_VK)
+            R_WH, p_WH = wrist_pose(p_VK)
+            p_HK = (p_VK - p_WH[:, None]) @ R_WH  # of row vectors
         valid = np.isfinite(p_HK).all(axis=(1, 2))
         metadata: dict = {"side": side}
-        X_WH = _wrist_poses(p_VK, valid) if in_world else None
+        X_WH = _pose_vectors(R_WH, p_WH, valid) if in_world else None
         if X_WH is not None:
             travel = np.abs(X_WH[valid, 4:] - X_WH[valid, 4:][:1]).max(initial=0.0)
             # A glove without a tracker measures the wrist's orientation, but not its position.
@@ -206,13 +207,12 @@ class Recording:
         return cls(t - t[:1], p_HK, valid, X_WH, metadata)
 
 
-def _wrist_poses(p_WK: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Computes wrist poses X_WH (T, 7) from keypoints; frames that are not `known` get the identity."""
+def _pose_vectors(R_WH: np.ndarray, p_WH: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Returns wrist poses X_WH (T, 7) as qw qx qy qz x y z; frames that are not `valid` get the identity."""
     from scipy.spatial.transform import Rotation  # not needed on a robot's computer
 
-    R_WH, p_WH = wrist_pose(p_WK)
-    known = known & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)  # where squares overflow, R is unknown
-    R_WH, p_WH = np.where(known[:, None, None], R_WH, np.eye(3)), np.where(known[:, None], p_WH, 0.0)
+    valid = valid & (np.linalg.det(np.nan_to_num(R_WH)) > 0.5)  # where squares overflow, R is unknown
+    R_WH, p_WH = np.where(valid[:, None, None], R_WH, np.eye(3)), np.where(valid[:, None], p_WH, 0.0)
     quaternions = Rotation.from_matrix(R_WH).as_quat(scalar_first=True)
     # Signs are chosen so that neighbouring quaternions are close and can be interpolated.
     flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0
