@@ -16,7 +16,7 @@ import numpy as np
 from geort_drake.console import print_table
 from geort_drake.files import finite_json
 from geort_drake.hands.hand import Hand
-from geort_drake.metrics.evaluation import adapted, distal_phalanges, evaluate_frames
+from geort_drake.metrics.evaluation import adapt, distal_phalanges, evaluate_frames
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.population import sample_person
@@ -74,7 +74,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         if arguments.affine:
             methods["affine_ik"] = AffineIK(kinematics_of(hand), p_HF)
         for name, retarget in methods.items():
-            own = adapted(retarget, recording)
+            own = adapt(retarget, recording)
             metrics, _ = evaluate_frames(own, hand, p_HF, recording.rate_hz, distal=distal)
             rows.setdefault(name, {})[person] = figures_of(metrics)
     for name, people in rows.items():

@@ -116,7 +116,8 @@ def _lighten(patch: pytest.MonkeyPatch, cache: Path) -> None:
     patch.setattr(evaluation, "ENGAGEMENTS", 2)
     for name in ("motion_preservation", "cross_talk", "flatness_and_gain"):
         patch.setattr(evaluation, name, functools.partial(getattr(evaluation, name), anchors=30))
-    patch.setattr(evaluation, "context_averaged", functools.partial(evaluation.context_averaged, contexts=2))
+    contexts = functools.partial(evaluation.average_over_context, contexts=2)
+    patch.setattr(evaluation, "average_over_context", contexts)
     patch.setattr(evaluation, "call_times", functools.partial(evaluation.call_times, calls=10))
 
 

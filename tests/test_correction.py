@@ -80,7 +80,7 @@ def test_the_guard_lets_fingertips_touch():
         q[:8] = rng.uniform(hand.lower[:8], hand.upper[:8])
     depth, *_, tips = hand.penetrations(q)[0]
     assert tips and depth > 0
-    np.testing.assert_array_equal(system.guarded(q[rows], q[rows]), q[rows])
+    np.testing.assert_array_equal(system.guard(q[rows], q[rows]), q[rows])
 
 
 def test_the_guard_walks_towards_a_command_and_stays_clear():

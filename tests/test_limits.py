@@ -127,7 +127,7 @@ def test_no_command_gets_past_the_guard(allegro, guard, judge, commands, seed):
     for factor, steps in commands:
         wanted = factor * rng.uniform(allegro.lower, allegro.upper)
         for _ in range(steps):
-            before, q = q, guard.guarded(wanted, q)
+            before, q = q, guard.guard(wanted, q)
             assert ((allegro.lower <= q) & (q <= allegro.upper)).all()
             assert (np.abs(q - before) <= reach + 1e-12).all()
             assert not judge.near(q).pairs

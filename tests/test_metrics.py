@@ -99,9 +99,9 @@ def test_context_averaging_keeps_independent_maps_and_shrinks_coupled_ones(frame
     def coupled(p):
         return p + 3 * np.roll(p, 1, axis=1)
 
-    for finger, tips in enumerate(metrics.context_averaged(lambda p: 2 * p, frames)):
+    for finger, tips in enumerate(metrics.average_over_context(lambda p: 2 * p, frames)):
         np.testing.assert_allclose(tips, 2 * voxel_thinned(frames[:, finger], 0.001), atol=1e-12)
-    averaged = np.concatenate(metrics.context_averaged(coupled, frames))
+    averaged = np.concatenate(metrics.average_over_context(coupled, frames))
     # Variance of own + 9 × the others', against own + 9/12.
     ratio = averaged.var() / coupled(frames).var()
     assert ratio == pytest.approx((1 + 9 / 12) / 10, rel=0.15)

@@ -12,7 +12,7 @@ from shared import shared
 from geort_drake import Recording
 from geort_drake.cli import run_command
 from geort_drake.people.checks import examine
-from geort_drake.people.coverage import PINCHES, coverage, described, finger_motions, pinch_distances, pinches
+from geort_drake.people.coverage import PINCHES, coverage, describe, finger_motions, pinch_distances, pinches
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, FINGER_NAMES
 from geort_drake.people.synthetic import protocol
 from geort_drake.people.synthetic.hand import HumanHand
@@ -43,7 +43,7 @@ def test_the_demonstration_covers_every_required_motion(shown):
     assert recording.duration_s == pytest.approx(DURATION_S, abs=0.1)
     assert DURATION_S == 300
     assert list(dict.fromkeys(steps)) == [step.name for step in STEPS]
-    assert [described(motion) for motion in coverage(recording) if not motion["enough"]] == []
+    assert [describe(motion) for motion in coverage(recording) if not motion["enough"]] == []
     assert examine(recording).metadata["warnings"] == []
     distance = np.stack(list(pinch_distances(recording).values()))
     assert 0.2 < (distance.min(axis=0) < 0.015).mean() < 0.35
@@ -71,14 +71,14 @@ def test_missing_motions_are_reported(shown):
     lower, upper = free * hand.lower, free * hand.upper
     still, _ = demonstrate(0, 30.0, replace(hand, lower=lower, upper=upper), jitter=0.0)
     (motion,) = [m for m in coverage(still) if not m["enough"]]
-    assert re.fullmatch("ring moves sideways: [01] °, required 7", described(motion))
+    assert re.fullmatch("ring moves sideways: [01] °, required 7", describe(motion))
     assert motion["advice"] == "spread the fingers and close them"
     recording, _ = shown
     p_HK = recording.p_HK.copy()
     away = pinch_distances(recording)["ring"] < 0.03
     p_HK[np.ix_(away, FINGER_KEYPOINTS["ring"])] += [0.0, -0.06, 0.0]
     (motion,) = [m for m in coverage(replace(recording, p_HK=p_HK)) if m["motion"] == "thumb pinches ring"]
-    assert described(motion) == f"thumb pinches ring: 0 times, required {PINCHES}" and not motion["enough"]
+    assert describe(motion) == f"thumb pinches ring: 0 times, required {PINCHES}" and not motion["enough"]
 
 
 def test_a_trembling_pinch_counts_once():

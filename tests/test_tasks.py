@@ -274,7 +274,7 @@ def test_a_person_learns_how_the_robots_fingertip_follows():
     """A gain and a rotation, from half a minute of noisy comparisons; and so which own motion is needed."""
     rng, config = np.random.default_rng(0), OperatorConfig()
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    learned = LearnedMotion.unlearned(2, config)
+    learned = LearnedMotion.initial(2, config)
     for _ in range(120):
         own = rng.normal(0, 0.01, 3)
         seen = 1.5 * turn @ own + rng.normal(0, 0.003, 3)

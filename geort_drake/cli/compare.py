@@ -144,7 +144,7 @@ class Explore(Command):
         from geort_drake import Hand
         from geort_drake.console import track
         from geort_drake.methods import names_of, resolve
-        from geort_drake.metrics.evaluation import adapted
+        from geort_drake.metrics.evaluation import adapt
         from geort_drake.metrics.explorer import excerpt, response, write_exploration
         from geort_drake.retargeting.train import training_recording
 
@@ -155,7 +155,7 @@ class Explore(Command):
         methods = {}
         for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):
             retarget, _ = resolve(method, hand, recording, self.seed)
-            methods[name] = response(adapted(retarget, recording), hand, hands)
+            methods[name] = response(adapt(retarget, recording), hand, hands)
         properties = {
             "hand": hand.description.name,
             "methods": ", ".join(methods),

@@ -296,7 +296,7 @@ class ShowProtocol(Command):
 
 def _print_report(report: dict[str, Any]) -> None:
     from geort_drake.console import print_table, say, warn
-    from geort_drake.people.coverage import described
+    from geort_drake.people.coverage import describe
     from geort_drake.people.formats import FORMATS
 
     known_format = FORMATS.get(report["format"])
@@ -323,7 +323,7 @@ def _print_report(report: dict[str, Any]) -> None:
         warn(sentence)
     missing = [motion for motion in report["coverage"] if not motion["enough"]]
     for motion in missing:
-        say(f"insufficient: {described(motion)}")
+        say(f"insufficient: {describe(motion)}")
     count = len(report["coverage"])
     say(f"coverage: {count - len(missing)} of {count} motions that training needs")
     say(f"verdict: {report['verdict']}" + ("" if report["fit_for_training"] else "; not fit for training"))

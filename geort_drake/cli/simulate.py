@@ -172,7 +172,7 @@ class Grasp(Command, ScenarioOptions):
 
     def _print_results(self, results: "Sequence[TrialResult]") -> None:
         from geort_drake.console import print_table, say
-        from geort_drake.simulation.tasks.grasp import explained
+        from geort_drake.simulation.tasks.grasp import explain
 
         grasps = all(result.task == "grasp" for result in results)
         rows = [_row(result) for result in results]
@@ -188,7 +188,7 @@ class Grasp(Command, ScenarioOptions):
         for result in results:
             if not result.success:
                 where = f"; watch {result.object}-{result.seed}.rrd" if self.rerun else ""
-                say(f"{result.object}, seed {result.seed}: {explained(result.outcome)}{where}")
+                say(f"{result.object}, seed {result.seed}: {explain(result.outcome)}{where}")
 
     def scenarios_of(self, base: "Scenario", replay: "Recording | None" = None) -> "list[Scenario]":
         """Returns a scenario per trial, from `base`; a session sets its own object, seed and timeout."""

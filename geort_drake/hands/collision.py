@@ -87,7 +87,7 @@ class HandClearance:
         self._coupling = coupling[:, np.argsort(self._to_hand)]
         self._read_chains()
         self.pairs = self._pairs()
-        self._root = self._enlarged_hand()
+        self._root = self._enlarge_hand()
         self._context = self._plant.GetMyContextFromRoot(self._root)
 
     def near(self, q: np.ndarray, count: int | None = None) -> Near:
@@ -189,13 +189,13 @@ class HandClearance:
             pairs.update(frozenset((pair.id_A, pair.id_B)) for pair in touching)
         return pairs
 
-    def _enlarged_hand(self) -> Context:
+    def _enlarge_hand(self) -> Context:
         """Creates a context in which all geometries are enlarged by half of the clearance."""
         root, scene_graph = self._hand.contact_context(), self._hand.scene_graph
         context = scene_graph.GetMyMutableContextFromRoot(root)
         for geometry in self._geometries:
             shape, name = self._inspector.GetShape(geometry), self._inspector.GetName(geometry)
-            larger = _enlarged(shape, name, 0.5 * self._clearance)
+            larger = _enlarge(shape, name, 0.5 * self._clearance)
             scene_graph.ChangeShape(context, self._plant.get_source_id(), geometry, larger)
         # Last, because a changed shape loses its collision filters.
         filters, checked_pairs = (
@@ -216,7 +216,7 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     )
 
 
-def _enlarged(shape: Shape, name: str, margin: float) -> Shape:
+def _enlarge(shape: Shape, name: str, margin: float) -> Shape:
     """Returns a shape that contains all points within `margin`, m, of the given shape."""
     if isinstance(shape, Box):
         return Box(shape.size() + 2.0 * margin)
@@ -227,11 +227,11 @@ def _enlarged(shape: Shape, name: str, margin: float) -> Shape:
     if isinstance(shape, Capsule):
         return Capsule(shape.radius() + margin, shape.length())
     if isinstance(shape, Convex | Mesh):
-        return _enlarged_hull(shape, margin)
+        return _enlarge_hull(shape, margin)
     raise unsupported_shape(shape, name)
 
 
-def _enlarged_hull(shape: Convex | Mesh, margin: float) -> Convex:
+def _enlarge_hull(shape: Convex | Mesh, margin: float) -> Convex:
     """Returns the Minkowski sum of a mesh's convex hull and a cube with half edge `margin`, m."""
     hull = shape.GetConvexHull()
     vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])

@@ -278,7 +278,7 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
     if not path.is_file():
         raise HandError(f"the hand description {path} is missing")
     try:
-        hand = copy.deepcopy(_parsed(path.read_text(encoding="utf-8")))
+        hand = copy.deepcopy(_parse(path.read_text(encoding="utf-8")))
     except Exception as error:  # the loader raises RuntimeError, YAMLError, TypeError, ValueError, ...
         raise HandError(f"the hand description {path} is malformed: {fault_of(error)}") from error
     with naming(path, HandError):
@@ -289,7 +289,7 @@ def load_hand(name_or_path: str | os.PathLike | HandDescription) -> HandDescript
 
 
 @functools.lru_cache(maxsize=32)  # parsing takes 8 ms, and a trial asks for its hand in several places
-def _parsed(text: str) -> HandDescription:
+def _parse(text: str) -> HandDescription:
     check_fields(yaml.compose(text, Loader=yaml.SafeLoader), HandDescription)
     return yaml_load_typed(schema=HandDescription, data=text)
 

@@ -123,7 +123,7 @@ class Hand(HandInPlant):
 
     def fingertips(self, q: np.ndarray) -> np.ndarray:
         """Computes fingertips p_BF, (N, F, 3) or (F, 3), m, at joint positions q, (N, n) or (n,), rad."""
-        p_BF = self._fingertips(self._checked(q))
+        p_BF = self._fingertips(self._check(q))
         return p_BF if np.ndim(q) == 2 else p_BF[0]
 
     def collides(self, q: np.ndarray) -> np.ndarray:
@@ -189,7 +189,7 @@ class Hand(HandInPlant):
             p_BW=self.p_BW,
         )
 
-    def _checked(self, q: np.ndarray) -> np.ndarray:
+    def _check(self, q: np.ndarray) -> np.ndarray:
         """Returns q (N, n) or (n,) as (N, n); raises ValueError for another shape or values not finite."""
         rows = np.atleast_2d(np.asarray(q, dtype=float))
         n = len(self.joint_names)
@@ -201,7 +201,7 @@ class Hand(HandInPlant):
 
     def _rows(self, q: np.ndarray) -> np.ndarray:
         """Returns positions (N, n + K), rad: those of q (N, n) or (n,), then those of the followers."""
-        return self.couplings.with_followers(self._checked(q))
+        return self.couplings.with_followers(self._check(q))
 
     def _query(self, row: np.ndarray, root_context: Context) -> QueryObject:
         context = self.plant.GetMyMutableContextFromRoot(root_context)

@@ -14,7 +14,7 @@ from geort_drake.errors import HandError, MethodError, RecordingError
 from geort_drake.hands.hand import Hand
 from geort_drake.metrics.metrics import (
     FingertipMap,
-    context_averaged,
+    average_over_context,
     coverage,
     cross_talk,
     flatness_and_gain,
@@ -90,7 +90,7 @@ def evaluate(
     keypoints = hand.description.human_keypoints
     frames = recording.fingertips(keypoints)[:frame_limit]
     distal = distal_phalanges(recording, keypoints)[:frame_limit]
-    retarget = adapted(retarget, recording)
+    retarget = adapt(retarget, recording)
     stationary_map = None
     if isinstance(retarget, AnyTeleop):
         stationary_map = retarget.settled_map(frames)
@@ -100,7 +100,7 @@ def evaluate(
     return evaluate_frames(complete, hand, frames, recording.rate_hz, seed, space, stationary_map, distal)[0]
 
 
-def adapted(retarget: Callable, recording: Recording) -> Callable:
+def adapt(retarget: Callable, recording: Recording) -> Callable:
     """Returns a universal map adapted to the first second of a recording; other maps as they are."""
     if not isinstance(retarget, UniversalRetargeter):
         return retarget
@@ -176,7 +176,7 @@ def evaluate_frames(
     }
     if space is not None:
         figures["coverage"] = coverage(space, list(np.moveaxis(p_BF, 1, 0)))
-        figures["coverage_context_averaged"] = coverage(space, context_averaged(g, frames))
+        figures["coverage_context_averaged"] = coverage(space, average_over_context(g, frames))
     median, p99 = np.percentile(call_times(retarget, frames), (50, 99))
     figures["latency_us"] = {"median": 1e6 * float(median), "p99": 1e6 * float(p99)}
     return figures, p_BF

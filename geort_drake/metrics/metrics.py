@@ -132,7 +132,7 @@ def pair_distances(tips: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.diff(of_pairs(tips, pairs), axis=1)[:, 0], axis=-1)
 
 
-def context_averaged(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
+def average_over_context(g: FingertipMap, frames: np.ndarray, contexts: int = 12) -> list[np.ndarray]:
     """Computes for each finger the robot's tips averaged over postures of the other fingers: (M, 3) in B, m.
 
     One position per visited 1 mm voxel of a human fingertip is combined with the other fingertips of the

@@ -36,7 +36,7 @@ def _motion(name: str, value: float, minimum: float, unit: str, advice: str) -> 
     return {"motion": name, **amounts, "advice": advice}
 
 
-def described(motion: Motion) -> str:
+def describe(motion: Motion) -> str:
     """Returns the amounts of a motion in words, rounded down: 6.9 of 7 degrees are not enough."""
     return "{motion}: {0} {unit}, required {required:.0f}".format(int(motion["seen"]), **motion)
 

@@ -92,7 +92,7 @@ class SignalSpec(Spec):
         return np.concatenate(values)
 
     def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
-        values = _derived(self.derive, rows, len(self.names))
+        values = _derive(self.derive, rows, len(self.names))
         for path, (_, members) in self.plots(key).items():
             # A joint has the same colour in every signal.
             colors = np.array([self.colors[i] for i in members] if self.colors else PALETTE)
@@ -102,7 +102,7 @@ class SignalSpec(Spec):
             writer.series(path, names, values[:, members], colors, 1.0 if self.faint else 1.75)
 
     def samples(self, key: str, rows: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-        values = _derived(self.derive, rows, len(self.names))
+        values = _derive(self.derive, rows, len(self.names))
         return {column_name(key, name): values[:, i] for i, name in enumerate(self.names)}
 
 
@@ -203,7 +203,7 @@ class PointsSpec(Spec):
 
     def write(self, writer: Writer, key: str, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         values, X_WF = [value for value, _ in rows], np.reshape([X for _, X in rows], (-1, 3, 4))
-        p_FP = _derived(self.derive, values, -1).reshape(len(rows), -1, 3) if rows else np.empty((0, 1, 3))
+        p_FP = _derive(self.derive, values, -1).reshape(len(rows), -1, 3) if rows else np.empty((0, 1, 3))
         p_WP = p_FP @ X_WF[:, :, :3].swapaxes(1, 2) + X_WF[:, None, :, 3]
         is_drawn = np.isfinite(p_WP).all(axis=2) & (writer.times[:, None] >= self.start - 1e-9)
         palette = np.atleast_2d(np.asarray(self.color))
@@ -237,7 +237,7 @@ def body_and_pose(frame: Frame) -> tuple[int, RigidTransform]:
     return int(frame.body().index()), frame.GetFixedPoseInBodyFrame()
 
 
-def _derived(derive: Derive | None, rows: Sequence[np.ndarray], size: int) -> np.ndarray:
+def _derive(derive: Derive | None, rows: Sequence[np.ndarray], size: int) -> np.ndarray:
     """Returns the recorded values (T, n) of rows; does not call `derive` without rows."""
     values = np.array(rows, dtype=float)
     return (derive(values) if derive is not None and len(rows) else values).reshape(len(rows), size)

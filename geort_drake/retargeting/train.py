@@ -18,7 +18,7 @@ from geort_drake.console import progress_bar, say
 from geort_drake.errors import MapError, TrainingError
 from geort_drake.files import locked, require_writable, source_digest
 from geort_drake.people.checks import require_hand
-from geort_drake.people.coverage import described, finger_motions
+from geort_drake.people.coverage import describe, finger_motions
 from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M, Recording
 from geort_drake.people.synthetic.play import synthesize_play
@@ -94,7 +94,7 @@ def train_map(
     p_HF = recording.fingertips(keypoints)
     motions = finger_motions(recording.p_HK[recording.valid], keypoints)
     messages = [
-        f"narrow motion, {described(each)}; {each['advice']}" for each in motions if not each["enough"]
+        f"narrow motion, {describe(each)}; {each['advice']}" for each in motions if not each["enough"]
     ]
     messages += check_fingertips(p_HF, hand.finger_names)
     started = time.perf_counter()

@@ -127,7 +127,7 @@ def load_scenario(
         UnknownNameError: there is no scenario of that name, or see `check_scenario`.
         PolicyError: the policy that corrects commands cannot be run.
     """
-    scenario = _loaded(file, name, text, task, Scenario())
+    scenario = _load(file, name, text, task, Scenario())
     scenario.hand, scenario.task = hand or scenario.hand, task or scenario.task
     check_scenario(scenario)
     if scenario.correction.kind == "policy":
@@ -139,10 +139,10 @@ def names_object(
     file: str | os.PathLike | None = None, name: str | None = None, text: str | None = None
 ) -> bool:
     """Whether a scenario that `load_scenario` accepts, or the merged text, sets the object's name."""
-    return bool(_loaded(file, name, text, None, Scenario(object=ObjectConfig(name=""))).object.name)
+    return bool(_load(file, name, text, None, Scenario(object=ObjectConfig(name=""))).object.name)
 
 
-def _loaded(
+def _load(
     file: str | os.PathLike | None, name: str | None, text: str | None, task: str | None, defaults: Scenario
 ) -> Scenario:
     source = find_task(task or "grasp").scenario

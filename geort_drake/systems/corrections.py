@@ -192,7 +192,7 @@ class SelfCollisionGuard(PeriodicCorrection):
                 "default_positions or list the two under ignored_collisions"
             )
 
-    def guarded(self, command: np.ndarray, clear: np.ndarray) -> np.ndarray:
+    def guard(self, command: np.ndarray, clear: np.ndarray) -> np.ndarray:
         """Returns clear positions near `command`, within one step of `clear`; (n,) rad, actuator order."""
         if not np.isfinite(command).all():
             return clear
@@ -233,7 +233,7 @@ class SelfCollisionGuard(PeriodicCorrection):
         desired = self._desired.Eval(context)
         n = len(desired) // 2
         clear = context.get_discrete_state(self._positions).value()
-        q = self.guarded(desired[:n], clear)
+        q = self.guard(desired[:n], clear)
         if np.array_equal(q, desired[:n]):
             output.SetFromVector(desired)
         else:

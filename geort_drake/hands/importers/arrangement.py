@@ -63,7 +63,7 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     context = plant.CreateDefaultContext()
     X_RP = plant.EvalBodyPoseInWorld(context, structure.palm[0])
     R_RP = X_RP.rotation().matrix()
-    R_RB = R_RP @ _snapped(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
+    R_RB = R_RP @ _snap(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
     across = (knuckles - middle) @ R_RB[:, 1]
     forward, to_left, _ = (0.5 * (fingers[thumb].p_base + fingers[thumb].p_middle) - middle) @ R_RB
     place = "thumb's position indicates"
@@ -170,7 +170,7 @@ def side_by_name(texts: Sequence[str]) -> str | None:
     return None if right == left else "right" if right > left else "left"
 
 
-def _snapped(R: np.ndarray, notes: list[str]) -> np.ndarray:
+def _snap(R: np.ndarray, notes: list[str]) -> np.ndarray:
     """Returns the rotation, aligned with the nearest axes if they are close."""
     exchanges = Rotation.create_group("O")  # the rotations that exchange axes
     angles = (exchanges.inv() * Rotation.from_matrix(R)).magnitude()

@@ -84,7 +84,7 @@ def propose(
         draft,
         side=side,
         base_frame=_new_frame_name(structure),
-        base_pose=BasePoseDescription(palm_link, _rounded(X_PB.translation()), _rounded(rpy_deg, 2)),
+        base_pose=BasePoseDescription(palm_link, _round(X_PB.translation()), _round(rpy_deg, 2)),
         fingers=sorted(fingers, key=lambda finger: FINGER_NAMES.index(finger.name)),
         ignored_collisions=sorted([a, b] for a, b in overlaps),
         actuation=_actuation(structure, notes),
@@ -98,7 +98,7 @@ def propose(
     if start is None:
         notes.append("no initial posture without self-collision was found")
     elif (start != hand.default_position).any():
-        description.default_positions |= dict(zip(hand.joint_names, _rounded(start), strict=True))
+        description.default_positions |= dict(zip(hand.joint_names, _round(start), strict=True))
     return description, notes
 
 
@@ -111,9 +111,9 @@ def _draft(structure: HandStructure, name: str, hulls: bool) -> tuple[HandDescri
     sources: list[str] = []
     for chain, label in zip(structure.chains, FINGER_NAMES, strict=False):
         link, point, radius, source = find_tip(structure, chain)
-        (radius,) = _rounded([radius])
+        (radius,) = _round([radius])
         keypoint = TIP_KEYPOINT[label]
-        fingers.append(FingerDescription(label, keypoint, chain.joints, link.name(), _rounded(point), radius))
+        fingers.append(FingerDescription(label, keypoint, chain.joints, link.name(), _round(point), radius))
         sources.append(source)
     draft = HandDescription(
         name=name,
@@ -242,5 +242,5 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
     return _GAINS
 
 
-def _rounded(values: Iterable[float], digits: int = 5) -> list[float]:
+def _round(values: Iterable[float], digits: int = 5) -> list[float]:
     return [round(float(value), digits) + 0.0 for value in values]

@@ -20,7 +20,7 @@ from geort_drake.live.web.messages import Disengage, Engage, Fist, Record, Reset
 from geort_drake.live.web.operator_station import OperatorStation
 from geort_drake.people.recording_log import RecordingLog
 from geort_drake.simulation.task import Outcome, Stage
-from geort_drake.simulation.tasks.grasp import explained
+from geort_drake.simulation.tasks.grasp import explain
 from geort_drake.systems.glove import GloveRecorder
 
 _STATE_S = 0.1  # s between two states
@@ -176,7 +176,7 @@ class PageControl:
             elif isinstance(command, Fist):
                 engaged ^= self._fist_counts(engaged)
             elif isinstance(command, Reset):
-                self.choice, self.again = _changed(self.choice, command), True
+                self.choice, self.again = _merge(self.choice, command), True
             elif isinstance(command, Record):
                 self._consent = True
             elif isinstance(command, Stop):
@@ -277,14 +277,14 @@ class PageControl:
             "seconds": outcome.completion_time - self._started if outcome.success else None,
             "over": outcome.over,
             "success": outcome.success,
-            "reason": explained(outcome.text) if outcome.over and not outcome.success else None,
+            "reason": explain(outcome.text) if outcome.over and not outcome.success else None,
         }
 
     def _delay(self) -> dict[str, Any]:
         return self.loop.delay(_NEWEST)
 
 
-def _changed(choice: Reset, wish: Reset) -> Reset:
+def _merge(choice: Reset, wish: Reset) -> Reset:
     """Returns a choice with a page's wishes; another hand, mount or task begins with its usual object."""
     robot = replace(choice, hand=wish.hand or choice.hand, mount=wish.mount or choice.mount)
     task = wish.task or choice.task

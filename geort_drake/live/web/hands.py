@@ -57,9 +57,9 @@ class HandReader:
             LiveError: the joints are no hand, or not where a camera sees one.
         """
         if isinstance(message, Headset):
-            p_SK = self._scaled(np.array(message.joints)[KEYPOINTS_OF_25,])
+            p_SK = self._scale(np.array(message.joints)[KEYPOINTS_OF_25,])
             return self._frame(p_SK @ _R_WS.T, message.t)
-        world = self._scaled(np.array(message.world))
+        world = self._scale(np.array(message.world))
         p_CM = hand_translation(world, np.array(message.image), message.aspect)
         filtered = self._filter(message.t, np.vstack([world, p_CM]))
         return self._frame((filtered[:-1] + filtered[-1]) @ _R_WC.T, message.t)
@@ -74,7 +74,7 @@ class HandReader:
             raise LiveError("hand: two joints of a bone coincide")
         return frame_of_points(p_WK, self._side, time)
 
-    def _scaled(self, points: np.ndarray) -> np.ndarray:
+    def _scale(self, points: np.ndarray) -> np.ndarray:
         """Scales points (21, 3), m, about the wrist to the person's hand length, if it is known."""
         if self._length is None:
             return points

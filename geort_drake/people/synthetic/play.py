@@ -182,7 +182,7 @@ def sweep(timeline: Timeline, finger: int, rng: np.random.Generator) -> None:
     rest = resting(rng)
     targets = [*_abduction_sweeps(finger, rng), *(_random_posture(finger, rng) for _ in range(5))]
     for target in targets:
-        theta = _perturbed(rest, 9.0, rng)  # resting fingers move slightly
+        theta = _perturb(rest, 9.0, rng)  # resting fingers move slightly
         theta[finger] = target
         if finger != _THUMB:
             # Neighbours follow by a fifth (Zatsiorsky et al. 2000, Exp. Brain Res. 131:187).
@@ -225,9 +225,9 @@ def _abduction_fraction(flexion_deg: float) -> float:
 def fists(timeline: Timeline, rng: np.random.Generator) -> None:
     """Closes and stretches all fingers twice."""
     for _ in range(2):
-        timeline.move(np.deg2rad(_perturbed(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
+        timeline.move(np.deg2rad(_perturb(_FIST, 4.0, rng)), rng.uniform(0.25, 0.5))
         timeline.hold(rng.uniform(0.1, 0.3))
-        timeline.move(np.deg2rad(_perturbed(FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
+        timeline.move(np.deg2rad(_perturb(FLAT, 5.0, rng)), rng.uniform(0.25, 0.5))
 
 
 def spread(timeline: Timeline, rng: np.random.Generator) -> None:
@@ -243,7 +243,7 @@ def spread(timeline: Timeline, rng: np.random.Generator) -> None:
 
 def wave(timeline: Timeline, rng: np.random.Generator) -> None:
     """Runs a wave of flexion from finger to finger, back and forth."""
-    start = _perturbed(FLAT, 4.0, rng)
+    start = _perturb(FLAT, 4.0, rng)
     depth = rng.uniform(0.5, 1.0)
     for step in range(12):
         phase = 2 * np.pi * (step / 6 - np.arange(5) / 6)
@@ -328,9 +328,9 @@ def resting(rng: np.random.Generator) -> np.ndarray:
     """Draws a posture (5, 4), deg, of resting fingers, each somewhat open or closed."""
     knuckles, beyond = rng.uniform(0.0, 0.6, 5), rng.uniform(0.0, 0.8, 5) ** 1.5
     share = np.column_stack([knuckles, knuckles, beyond, beyond])
-    return _perturbed(FLAT + share * (_FIST - FLAT), 5.0, rng)
+    return _perturb(FLAT + share * (_FIST - FLAT), 5.0, rng)
 
 
-def _perturbed(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:
+def _perturb(posture: np.ndarray, deviation_deg: float, rng: np.random.Generator) -> np.ndarray:
     # Fingers vary less sideways than they flex.
     return posture + rng.normal(0.0, deviation_deg, posture.shape) * np.array([0.4, 1.0, 1.0, 1.0])

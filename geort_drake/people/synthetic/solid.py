@@ -150,7 +150,7 @@ class SolidHand:
                 smallest, best = depth, theta
             if depth <= MAX_INTERPENETRATION:
                 break
-            theta = self._corrected(theta, proximity)
+            theta = self._correct(theta, proximity)
         return best
 
     def _stop(
@@ -159,7 +159,7 @@ class SolidHand:
         """Returns a posture near theta (20,) in which digits touch, and which; `free` is just before it."""
         friction: tuple[np.ndarray, np.ndarray] | None = self._capsules(free)
         for _ in range(_CORRECTIONS):
-            theta = self._corrected(theta, proximity, friction)
+            theta = self._correct(theta, proximity, friction)
             proximity = self._proximity(theta)
             if proximity.depth.max() <= MAX_INTERPENETRATION:
                 return theta, proximity.touching()
@@ -192,7 +192,7 @@ class SolidHand:
         is_pressed[_FIRST[stuck] // 3] = is_pressed[_SECOND[stuck] // 3] = True
         return is_pressed
 
-    def _corrected(
+    def _correct(
         self,
         theta: np.ndarray,
         proximity: "_Proximity",

@@ -18,8 +18,8 @@ from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.solid import MAX_INTERPENETRATION, SolidHand
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.finger_motion import FingerMotion, limited
-from geort_drake.simulation.person.learning import LearnedMotion, learned_in_play, motion_noise
-from geort_drake.simulation.person.perception import Percept, averaged, draw_errors, later_errors, perceive
+from geort_drake.simulation.person.learning import LearnedMotion, learn_in_play, motion_noise
+from geort_drake.simulation.person.perception import Percept, average, draw_errors, later_errors, perceive
 from geort_drake.simulation.wrist_motion import WristMovement, minimum_jerk
 from geort_drake.systems.port_values import Immutable
 
@@ -283,7 +283,7 @@ class Person:
         theta = self._first_posture()
         p_HF, num_fingers, config = self.hand.fingertips(theta), len(self._finger_numbers), self.config
         p_HF_open, goal, play = p_HF.copy(), self._goal, self._goal.play
-        learned = LearnedMotion.unlearned(num_fingers, config)
+        learned = LearnedMotion.initial(num_fingers, config)
         if play is not None and len(play.p_HF):
             # The hand opens as it did when the robot's fingertips were nearest to the goal.
             noise = np.sqrt(0.5) * motion_noise(config, np.inf)
@@ -294,7 +294,7 @@ class Person:
             for follower in self._followers:
                 p_HF_open[follower] += p_HF_open[follower - 1] - p_HF[follower - 1]
             if self._kind.feedforward == "learned":
-                learned = learned_in_play(play, p_HF_open[self._finger_numbers], config, self.rng)
+                learned = learn_in_play(play, p_HF_open[self._finger_numbers], config, self.rng)
         # A minimum-jerk movement peaks at 15/8 of its mean speed.
         farthest = np.linalg.norm(p_HF_open - p_HF, axis=1).max()
         return Memory(
@@ -333,7 +333,7 @@ class Person:
         if not memory.is_looking:
             memory.is_looking, memory.phase_start, memory.best_time = True, t, t
             memory.reference = self._begin(m)
-        memory.p_BO = averaged(memory.p_BO, percept.X_BW @ percept.X_WO.translation(), config)
+        memory.p_BO = average(memory.p_BO, percept.X_BW @ percept.X_WO.translation(), config)
         target = self._look(m)
         following = self.phases[memory.phase].ends(m)
         if following is not None:
@@ -350,7 +350,7 @@ class Person:
         """Returns the phase's fingertips, and judges the errors of the robot's."""
         memory, target = m.memory, self.phases[m.memory.phase].fingertips(m)
         if target is not None:
-            memory.error = averaged(memory.error, target - m.percept.p_BF, self.config)
+            memory.error = average(memory.error, target - m.percept.p_BF, self.config)
             if m.worst_error < memory.best_error - 0.001:
                 memory.best_error, memory.best_time = m.worst_error, m.t
         return target

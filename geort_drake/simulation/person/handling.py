@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from geort_drake.simulation.person.engine import Moment, Phase, opposition, rest
 from geort_drake.simulation.person.finger_motion import limited
 from geort_drake.simulation.person.goal import yaw_of
-from geort_drake.simulation.person.perception import averaged
+from geort_drake.simulation.person.perception import average
 from geort_drake.systems.port_values import rotation_of_vector
 
 # Unit forces of thumb and fingers whose sum is larger need the palm: half a unit is within friction.
@@ -154,7 +154,7 @@ def _pressing(m: Moment, share: float) -> np.ndarray:
     velocity *= np.linalg.norm(pressed, axis=1).max() < config.squeeze
     m.note(
         pressed=pressed + config.period * velocity,
-        contact=averaged(m.recall("contact"), m.percept.contact, config),
+        contact=average(m.recall("contact"), m.percept.contact, config),
     )
     return velocity
 

@@ -24,7 +24,7 @@ class LearnedMotion:
     P: np.ndarray
 
     @classmethod
-    def unlearned(cls, num_fingers: int, config: OperatorConfig) -> "LearnedMotion":
+    def initial(cls, num_fingers: int, config: OperatorConfig) -> "LearnedMotion":
         """Returns the initial estimate, that robot and own fingers move alike."""
         identity = np.tile(np.eye(3), (num_fingers, 1, 1))
         return cls(identity, config.jacobian_spread**2 * identity)
@@ -62,7 +62,7 @@ def motion_noise(config: OperatorConfig, elapsed: float) -> float:
     return math.sqrt(max(2 * variance * (1 - share), 1e-8))
 
 
-def learned_in_play(
+def learn_in_play(
     play: FreePlay,
     p_HF: np.ndarray,
     config: OperatorConfig,
@@ -72,7 +72,7 @@ def learned_in_play(
     step = max(1, round(config.comparison_time / play.period))
     noise = motion_noise(config, config.comparison_time)
     p_HF_play, p_BF_play = play.p_HF[::step], play.p_BF[::step]
-    learned = LearnedMotion.unlearned(p_HF.shape[0], config)
+    learned = LearnedMotion.initial(p_HF.shape[0], config)
     human_motion = np.diff(p_HF_play, axis=0)
     is_near = np.linalg.norm(p_HF_play[1:] - p_HF, axis=-1) < config.neighbourhood
     is_far = np.linalg.norm(human_motion, axis=-1) > config.least_motion

@@ -100,7 +100,7 @@ def perceive(scene: Percept, errors: np.ndarray, config: OperatorConfig, rng: np
     )
 
 
-def averaged(average: np.ndarray | None, value: np.ndarray, config: OperatorConfig) -> np.ndarray:
+def average(average: np.ndarray | None, value: np.ndarray, config: OperatorConfig) -> np.ndarray:
     """Returns the low-passed value over about `judging_time`; single samples are noisier than the tolerances.
 
     `before` is the average one period ago; None at the first sample.

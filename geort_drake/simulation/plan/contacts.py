@@ -97,7 +97,7 @@ def grip_contacts(
         offset = spacing / 2
         widest = math.asin(min(offset / half_extents(shape.main[0])[0], 1.0))
     contacts = [
-        _contact(shape, finger, yaw, _turned(_narrowed(angle, widest), side), z + level * step, offset)
+        _contact(shape, finger, yaw, _turned(_narrow(angle, widest), side), z + level * step, offset)
         for finger, (angle, level) in GRIPS[grip].items()
     ]
     if grip == PALM_GRIP:
@@ -110,7 +110,7 @@ def _vertical_step(spacing: float | None) -> float:
     return _MAX_STEP if spacing is None else min(spacing, _MAX_STEP)
 
 
-def _narrowed(angle: float, widest: float) -> float:
+def _narrow(angle: float, widest: float) -> float:
     """Returns a finger's angle clipped to ±`widest`; a thumb's angle is kept; rad."""
     return angle if abs(angle) > math.pi / 2 else float(np.clip(angle, -widest, widest))
 

@@ -74,7 +74,7 @@ _REASONS = {
 }
 
 
-def explained(outcome: str) -> str:
+def explain(outcome: str) -> str:
     """Returns in a sentence what the outcome of a failed trial such as "timeout: touch" means.
 
     It says how things stood at the end, not how far the person had come before. Of a task without such
