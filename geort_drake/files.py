@@ -186,16 +186,19 @@ def _require_file(path: Path) -> None:
         raise OutputError(f"{path}: is write-protected")
 
 
-def is_replaceable(target: str | os.PathLike, mark: str) -> bool:
-    """Whether `atomic_directory` may write `target`: a new or empty folder, or one with the file `mark`.
+def require_replaceable(target: str | os.PathLike, mark: str) -> None:
+    """Checks that `atomic_directory` may write `target`: new, empty, or with the file `mark` of its like.
 
-    The current folder, given as ".", and mount points cannot be replaced.
+    Raises:
+        OutputError: it is something else, or the current folder, given as ".", or a mount point, which cannot
+            be replaced.
     """
     path = Path(target)
     if not path.exists():
-        return True
-    is_movable = path.name not in ("", "..") and not path.is_mount()
-    return is_movable and path.is_dir() and ((path / mark).is_file() or not any(path.iterdir()))
+        return
+    is_movable = path.is_dir() and path.name not in ("", "..") and not path.is_mount()
+    if not (is_movable and ((path / mark).is_file() or not any(path.iterdir()))):
+        raise OutputError(f"{target} exists and is not an earlier export; choose another name")
 
 
 def write_text(target: str | os.PathLike, text: str) -> None:

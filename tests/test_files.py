@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from geort_drake import Recording, files, synthesize_play
+from geort_drake import Recording, synthesize_play
 from geort_drake.errors import OutputError
-from geort_drake.files import atomic_directory, atomic_path, require_writable, write_text
+from geort_drake.files import atomic_directory, atomic_path, require_replaceable, require_writable, write_text
 
 
 def test_a_link_stays_and_its_target_gets_the_contents(tmp_path):
@@ -104,8 +104,10 @@ def test_a_directory_is_replaced_as_a_whole(tmp_path):
 def test_a_directory_replaces_neither_a_file_nor_the_current_folder(tmp_path, monkeypatch):
     """A folder in use cannot be renamed, which must be known before the work begins."""
     monkeypatch.chdir(tmp_path)
-    assert not files.is_replaceable(".", "mark")
-    assert files.is_replaceable(tmp_path, "mark") and files.is_replaceable("new", "mark")
+    with pytest.raises(OutputError, match="choose another name"):
+        require_replaceable(".", "mark")
+    for target in (tmp_path, "new"):
+        require_replaceable(target, "mark")
     file = tmp_path / "notes.txt"
     write_text(file, "before")
     with pytest.raises(OutputError, match="is a file, not a directory"), atomic_directory(file):

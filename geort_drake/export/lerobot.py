@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 
 from geort_drake.errors import RecordingError
 from geort_drake.export.episode import Episode
-from geort_drake.export.parquet import check_replaceable, rows
-from geort_drake.files import atomic_directory
+from geort_drake.export.parquet import rows
+from geort_drake.files import atomic_directory, require_replaceable
 from geort_drake.simulation.tasks import find_task
 
 VERSION = "v3.0"
@@ -48,7 +48,7 @@ def write_lerobot(
         RecordingError: an episode has no robot, or other features than the first.
         OutputError: `output` exists and is no dataset.
     """
-    check_replaceable(output, INFO)
+    require_replaceable(output, INFO)
     description: dict[str, dict] = {}
     tasks: dict[str, int] = {}
     lines: list[dict] = []  # one per episode

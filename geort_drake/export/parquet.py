@@ -13,9 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from geort_drake.errors import OutputError
 from geort_drake.export.episode import Episode
-from geort_drake.files import atomic_directory, is_replaceable
+from geort_drake.files import atomic_directory, require_replaceable
 
 FRAMES, EPISODES = "frames", "episodes.parquet"
 
@@ -26,7 +25,7 @@ def write_parquet(episodes: Iterable[Episode], output: str | os.PathLike) -> Ite
     Raises:
         OutputError: `output` exists and is not an earlier export.
     """
-    check_replaceable(output, EPISODES)
+    require_replaceable(output, EPISODES)
     with atomic_directory(output) as draft:
         (draft / FRAMES).mkdir()
         lines = []
@@ -80,9 +79,3 @@ def rows(values: np.ndarray, missing: np.ndarray | None = None) -> pa.Array:
     ends = np.cumsum(np.where(missing, 0, n), dtype=np.int32)
     flat = pa.array(np.ascontiguousarray(values[~missing]).ravel())
     return pa.ListArray.from_arrays(pa.array(np.append(np.int32(0), ends)), flat, mask=pa.array(missing))
-
-
-def check_replaceable(output: str | os.PathLike, mark: str) -> None:
-    """Raises OutputError if `output` exists and is not an export, which contains the file `mark`."""
-    if not is_replaceable(output, mark):
-        raise OutputError(f"{output} exists and is not an earlier export; choose another name")
