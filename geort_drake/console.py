@@ -118,9 +118,9 @@ def progress_bar(enabled: bool = True) -> Iterator[Display]:
     if not enabled or console.quiet:
         yield Display(disable=True)
     elif _display is not None:
-        before = {*_display.task_ids}
+        outer_tasks = {*_display.task_ids}
         yield _display
-        for task in {*_display.task_ids} - before:
+        for task in {*_display.task_ids} - outer_tasks:
             _display.remove_task(task)
     else:
         numbers = [each(table_column=Column(no_wrap=True)) for each in _NUMBERS]

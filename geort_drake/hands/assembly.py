@@ -137,8 +137,8 @@ class HandInPlant:
 
     def palm_links(self) -> list[RigidBody]:
         """Returns the links that no finger moves."""
-        moved = {body.index() for links in self.finger_links() for body in links}
-        return [link for link in self.links if link.index() not in moved]
+        moving = {body.index() for links in self.finger_links() for body in links}
+        return [link for link in self.links if link.index() not in moving]
 
     def tip_geometries(
         self, inspector: SceneGraphInspector, fingers: Iterable[FingerDescription] | None = None

@@ -189,41 +189,41 @@ def read_mediapipe(file: File, side: str) -> Track:
     stated = side_of(file.fields) or side
     if file.frames:
         p = np.stack([_mediapipe_hands(frame, stated) for frame in file.frames])
-        seen = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
-        if not seen:
+        hands_p_WK = {label: p[:, i] for i, label in enumerate(SIDES) if np.isfinite(p[:, i]).any()}
+        if not hands_p_WK:
             raise RecordingError(
                 f"no frame has {_WORLD[0]}, 21 points of three numbers, for a labelled hand; image "
                 "landmarks are not metric"
             )
     else:
-        seen = {stated: array_of(file, "world_landmarks", _POINTS)}
-    fitting = [label for label, p_WK in seen.items() if bent_side(p_WK, label) == side]
+        hands_p_WK = {stated: array_of(file, "world_landmarks", _POINTS)}
+    fitting = [label for label, p_WK in hands_p_WK.items() if bent_side(p_WK, label) == side]
     if not fitting:
-        (other, *_) = seen
+        (other, *_) = hands_p_WK
         raise RecordingError(f"the file's {other} hand does not bend as a {side} one, which was requested")
-    label = max(fitting, key=lambda label: np.isfinite(seen[label]).sum())
+    label = max(fitting, key=lambda label: np.isfinite(hands_p_WK[label]).sum())
     remarks: tuple[str, ...] = ()
     if label != side:
         remarks = (
             f"labelled {label}, but the fingers bend as a {side} hand's: read as {side}, because "
             "MediaPipe's labels often assume mirrored images",
         )
-    return Track(times_of(file, len(seen[label]), 1e-3), seen[label], side, remarks=remarks)
+    return Track(times_of(file, len(hands_p_WK[label]), 1e-3), hands_p_WK[label], side, remarks=remarks)
 
 
 def _mediapipe_hands(frame: dict[str, Any], side: str) -> np.ndarray:
     """Returns landmarks (2, 21, 3) of the left and right hand, NaN where unseen or unreadable."""
-    seen = np.full((2, *_POINTS), np.nan)
+    points = np.full((2, *_POINTS), np.nan)
     hands = next((frame[field] for field in _WORLD if frame.get(field)), None)
     labels = next((frame[field] for field in _HANDEDNESS if field in frame), None)
     if not isinstance(hands, list) or not (labels is None or isinstance(labels, list)):
-        return seen
+        return points
     labels = [side][: len(hands)] if labels is None else [_mediapipe_label(label) for label in labels]
     if len(labels) == len(hands) and set(labels) <= set(SIDES):
         for label, hand in reversed(list(zip(labels, hands, strict=True))):
             landmarks = hand.get("landmark", hand.get("landmarks")) if isinstance(hand, Mapping) else hand
-            seen[SIDES.index(label)] = points_of(landmarks, KEYPOINT_COUNT)
-    return seen
+            points[SIDES.index(label)] = points_of(landmarks, KEYPOINT_COUNT)
+    return points
 
 
 def _mediapipe_label(value: Any) -> str:

@@ -161,15 +161,15 @@ def _increasing(t: np.ndarray, candidates: np.ndarray) -> np.ndarray:
     """Returns as many of the candidate rows of t (T,) as possible, in order, whose times increase."""
     ends: list[float] = []  # the smallest last time of the subsequences of each length
     last: list[int] = []
-    before = [-1] * len(t)
+    previous = [-1] * len(t)
     for i in candidates.tolist():
         length = bisect.bisect_left(ends, t[i])
-        before[i] = last[length - 1] if length else -1
+        previous[i] = last[length - 1] if length else -1
         ends[length : length + 1], last[length : length + 1] = [t[i]], [i]
     chain, i = [], last[-1] if last else -1
     while i >= 0:
         chain.append(i)
-        i = before[i]
+        i = previous[i]
     return np.array(chain[::-1], dtype=int)
 
 

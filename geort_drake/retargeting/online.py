@@ -155,14 +155,14 @@ class AnyTeleop(Retargeter):
             step = np.linalg.solve(A, -(gradient * free)[..., None])[..., 0]
             trial = np.clip(q[rows] + step, lower, upper)
             regulariser = None if previous is None else previous[rows]
-            new = self._objective(trial, targets[rows], weights[rows], regulariser)
-            better = new[0] <= loss
+            trial_terms = self._objective(trial, targets[rows], weights[rows], regulariser)
+            improves = trial_terms[0] <= loss
             moved = np.abs(trial - q[rows]).max(axis=1)
-            q[rows[better]] = trial[better]
-            damping[rows] = np.clip(damping[rows] * np.where(better, 0.2, 10.0), 1e-6, 1e6)
-            loss = np.where(better, new[0], loss)
-            gradient = np.where(better[:, None], new[1], gradient)
-            H = np.where(better[:, None, None], new[2], H)
+            q[rows[improves]] = trial[improves]
+            damping[rows] = np.clip(damping[rows] * np.where(improves, 0.2, 10.0), 1e-6, 1e6)
+            loss = np.where(improves, trial_terms[0], loss)
+            gradient = np.where(improves[:, None], trial_terms[1], gradient)
+            H = np.where(improves[:, None, None], trial_terms[2], H)
             going = moved > TOLERANCE
             if not going.any():
                 break

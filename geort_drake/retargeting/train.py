@@ -43,10 +43,10 @@ def training_config(method: str, settings: Mapping | None = None) -> Any:
         UnknownNameError: there is no such method or setting; the message lists the known ones.
         TrainingError: the method is not trained, or a number is negative or not finite.
     """
-    chosen = find_method(method)
-    if not chosen.is_trained:
+    entry = find_method(method)
+    if not entry.is_trained:
         raise TrainingError(f"{method} is not trained on a recording; it needs no map of its own")
-    config = chosen.config()
+    config = entry.config()
     check_names(settings or {}, type(config), method)
     config = dataclasses.replace(config, **(settings or {}))
     for name, value in dataclasses.asdict(config).items():

@@ -138,9 +138,9 @@ def add_fingers(
     """
     hands = getattr(retarget, "robot_hands", ())
     if hands and model.description.name not in hands:
-        known = ", ".join(hands)
-        raise HandError(f"the retargeter is for {known}, not for the robot hand {model.description.name}")
-    settings, chosen, joints = scenario.retargeting, scenario.correction, model.hand.joints
+        names = ", ".join(hands)
+        raise HandError(f"the retargeter is for {names}, not for the robot hand {model.description.name}")
+    settings, config, joints = scenario.retargeting, scenario.correction, model.hand.joints
     at_start = dict(zip(joints, start.tolist(), strict=True))
     robot = model.diagram.plant()
     retargeting = builder.AddNamedSystem(
@@ -157,12 +157,12 @@ def add_fingers(
             cutoff=settings.cutoff,
         ),
     )
-    moved = (joints, at_start, model.limits, settings.period)
+    joint_settings = (joints, at_start, model.limits, settings.period)
     correction = ActionCorrection(len(joints))
-    if chosen.kind == "guard":
-        correction = SelfCollisionGuard(Hand(model.description), *moved, chosen.clearance)
-    elif chosen.kind == "policy":
-        correction = PolicyCorrection(load_policy(chosen.policy, len(joints)), *moved)
+    if config.kind == "guard":
+        correction = SelfCollisionGuard(Hand(model.description), *joint_settings, config.clearance)
+    elif config.kind == "policy":
+        correction = PolicyCorrection(load_policy(config.policy, len(joints)), *joint_settings)
     builder.AddNamedSystem("action_correction", correction)
     builder.Connect(glove.GetOutputPort("keypoints"), retargeting.GetInputPort("keypoints"))
     builder.Connect(valid, retargeting.GetInputPort("valid"))

@@ -96,16 +96,16 @@ def nearest_pinch(hand: Hand, number: int) -> float:
     q = hand.sample(_PINCH_SAMPLES)
     starts = q[np.argsort(np.linalg.norm(offset(q), axis=1))[:_PINCH_STARTS]]
     of_both = {*hand.description.fingers[0].joints, *hand.description.fingers[number].joints}
-    moved = [column for column, name in enumerate(hand.joint_names) if name in of_both]
-    limits, nearest = (hand.lower[moved], hand.upper[moved]), np.inf
+    columns = [column for column, name in enumerate(hand.joint_names) if name in of_both]
+    limits, nearest = (hand.lower[columns], hand.upper[columns]), np.inf
     for start in starts:
 
         def offset_of_both(q_both: np.ndarray, start: np.ndarray = start) -> np.ndarray:
             posture = start.copy()
-            posture[moved] = q_both
+            posture[columns] = q_both
             return offset(posture)
 
-        solution = least_squares(offset_of_both, start[moved], bounds=limits, xtol=1e-5)
+        solution = least_squares(offset_of_both, start[columns], bounds=limits, xtol=1e-5)
         nearest = min(nearest, float(np.linalg.norm(solution.fun)))
         if nearest < _MEETING:
             break
@@ -216,8 +216,8 @@ def _collisions(hand: Hand) -> Iterator[str]:
 def _masses(hand: Hand) -> Iterator[str]:
     plant, light = hand.plant, []
     for joint, _ in _links(hand):
-        moved = map(plant.get_body, plant.GetBodiesKinematicallyAffectedBy([joint.index()]))
-        if not sum(body.default_mass() for body in moved) > 0:
+        bodies = map(plant.get_body, plant.GetBodiesKinematicallyAffectedBy([joint.index()]))
+        if not sum(body.default_mass() for body in bodies) > 0:
             light.append(joint.child_body().name())
     if light:
         yield f"links without mass cannot be simulated: {listed(light)}"

@@ -272,7 +272,7 @@ class Person:
         self._touching = np.flatnonzero(goal.touches)
         # Fingers whose positions do not matter follow their neighbour, except the thumb.
         moving = self._finger_numbers[np.isfinite(goal.p_BF_open).all(axis=1)]
-        self._followers = [own for own in range(1, 5) if own not in moving]
+        self._followers = [number for number in range(1, 5) if number not in moving]
         self._rate = getattr(config, self._kind.rate)
         self._posture = np.zeros(0), np.zeros((5, 3))  # the last one and its fingertips
 

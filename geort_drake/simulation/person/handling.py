@@ -316,8 +316,8 @@ def _lost(m: Moment) -> str | None:
 def is_before(m: Moment) -> str | None:
     """hand in place, fingers shaped"""
     # Fingers at their limit may miss by up to the clearance.
-    near = m.goal.clearance if m.fingers_at_limit else 0.0
-    shaped = m.worst_error < m.tolerance(max(m.config.shape_tolerance, near))
+    clearance = m.goal.clearance if m.fingers_at_limit else 0.0
+    shaped = m.worst_error < m.tolerance(max(m.config.shape_tolerance, clearance))
     if not (shaped and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
     m.note(p_WO=m.percept.X_WO.translation())
