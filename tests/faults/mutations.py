@@ -9,26 +9,19 @@ VALUES: tuple[Any, ...] = (
     None, True, -1, 0, 3, 10**400, 1e308, float("nan"), float("inf"), "", "right", "\0", [], {}, [[]], [None],
     {"x": 1}, [1, 2, 3], {"position": None},
 )  # fmt: skip
+JUNK = b"\xff" * 8, b"\0" * 8, b"[" * 2000, b"9" * 500, b"nan", b'"', b"\n"
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    """Returns the contents with some bytes changed, removed, repeated or inserted."""
+    """Returns the contents with some parts replaced by noise, by nothing, by repetitions or by junk."""
     data = bytearray(content)
     for _ in range(int(rng.integers(1, 5))):
         # Half of the changes are in the first bytes, where headers are.
         end = len(data) if rng.random() < 0.5 else min(len(data), 256)
-        at, length = (int(rng.integers(0, max(end, 1))), int(rng.choice([1, 2, 8, 100])))
-        kind = rng.integers(0, 5)
-        if kind == 0:
-            data[at : at + length] = rng.bytes(length)
-        elif kind == 1:
-            del data[at : at + length]
-        elif kind == 2:
-            data[at:at] = data[at : at + length] * int(rng.integers(1, 50))
-        elif kind == 3:
-            data[at:at] = rng.choice([b"\xff" * 8, b"\0" * 8, b"[" * 2000, b"9" * 500, b"nan", b'"', b"\n"])
-        else:
-            del data[at:]
+        at, length = int(rng.integers(0, max(end, 1))), int(rng.choice([0, 1, 2, 8, 100, len(data)]))
+        part = bytes(data[at : at + length])
+        changes = rng.bytes(length), b"", part * int(rng.integers(2, 50)), JUNK[rng.integers(len(JUNK))]
+        data[at : at + length] = changes[rng.integers(len(changes))]
     return bytes(data)
 
 
