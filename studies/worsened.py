@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.benchmark.log import TrialKey
 from geort_drake.hands.hand import Hand
+from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.methods import resolve
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.play import synthesize_play
@@ -70,14 +71,15 @@ class WorsenedMap:
         keypoints: Sequence[int],
         faults: Mapping[str, float],
         seed: int,
-        kinematics: NumpyKinematics | None = None,
+        kinematics: HandKinematics | None = None,
     ):
         self._retarget, self._rest, self._keypoints = retarget, rest, list(keypoints)
         self.joint_names = retarget.joint_names
         self._faults, self._seed, self._kinematics = dict(faults), seed, kinematics
         if kinematics is not None:
             self._order = [self.joint_names.index(name) for name in kinematics.joint_names]
-            _, J = kinematics.fingertips_and_jacobians(0.5 * (kinematics.lower + kinematics.upper)[None])
+            self._solver = NumpyKinematics(kinematics)
+            _, J = self._solver.fingertips_and_jacobians(0.5 * (kinematics.lower + kinematics.upper)[None])
             moves = np.abs(J[0]).max(axis=1) > 0  # which joint moves which finger
             fingers = np.flatnonzero(moves.sum(axis=1) == 4)
             joints = [np.flatnonzero(moves[finger]) for finger in fingers]
@@ -135,12 +137,12 @@ class WorsenedMap:
         last joint, until one of its joints meets a limit.
         """
         assert self._kinematics is not None
-        hand, result = self._kinematics, np.array(q, dtype=float)
+        hand, solver, result = self._kinematics, self._solver, np.array(q, dtype=float)
         q, fingers, joints = result[self._order], *self._redundant
         length = self._faults["twisted"] / TWIST_STEPS
-        wanted = hand.fingertips(q[None])[0]
+        wanted = solver.fingertips(q[None])[0]
         for _ in range(TWIST_STEPS):
-            tips, J = (each[0] for each in hand.fingertips_and_jacobians(q[None]))
+            tips, J = (each[0] for each in solver.fingertips_and_jacobians(q[None]))
             U, sizes, V = np.linalg.svd(np.take_along_axis(J[fingers], joints[:, None], axis=2))
             step = length * V[:, 3] * np.sign(V[:, 3, 3:])
             room = np.where(step > 0, hand.upper[joints] - q[joints], q[joints] - hand.lower[joints])
@@ -169,7 +171,7 @@ class Trials:
         self._play = synthesize_play(seed=0, side=self._hand.description.side)
         self._person = HumanHand.measured_adult()
         self._maps: dict[str, Any] = {"hold": METHODS["hold"].fit(self._hand)}
-        self._kinematics = NumpyKinematics(self._hand.kinematics())
+        self._kinematics = self._hand.kinematics()
         self._plans: dict[str, Sequence[Any]] = {}
         self._goals: dict[tuple, Any] = {}
 

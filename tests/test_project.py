@@ -163,7 +163,7 @@ def test_twisted_maps_turn_distal_links_without_moving_the_fingertips():
         return q
 
     constant.joint_names = hand.joint_names
-    twisted = worsened.WorsenedMap(constant, np.zeros((4, 3)), range(4), {"twisted": 0.4}, 0, solver)
+    twisted = worsened.WorsenedMap(constant, np.zeros((4, 3)), range(4), {"twisted": 0.4}, 0, hand)
     answer = twisted(np.zeros((21, 3)))
     moved = np.linalg.norm(solver.fingertips(answer[None]) - solver.fingertips(q[None]), axis=-1)
     assert moved.max() < 0.0005
