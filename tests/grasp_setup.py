@@ -181,7 +181,8 @@ def plans(task: str) -> list:
 def plan_once(patch, *tasks: str) -> None:
     """Lets these tasks' stages find the goals for the Allegro hand without a search; others plan as usual."""
     for task in tasks:
-        patch.setattr(find_task(task), "plans", lambda scenario, description, task=task: goals(task))
+        planned = goals(task)  # before the patch, which would answer its own question
+        patch.setattr(find_task(task), "plans", lambda scenario, description, planned=planned: planned)
 
 
 @shared

@@ -30,7 +30,7 @@ def pinch():
         theta, touching = SOLID.move(theta, theta + 0.2 * (HAND.solve_fingertips(p_HF, theta) - theta))
     assert touching[:2].all()
     proximity = SOLID._proximity(theta)
-    (normal,) = proximity.apart([int(np.argmax(proximity.depth))])
+    (normal,) = proximity.separation([int(np.argmax(proximity.depth))])
     return theta, normal / np.linalg.norm(normal)
 
 

@@ -62,8 +62,8 @@ def joint_paths(plant: MultibodyPlant, model: ModelInstanceIndex) -> dict[BodyIn
     for joint in map(plant.get_joint, plant.GetJointIndices(model)):
         link = joint.child_body()
         other = inboard.get(link.index())
-        # The base of a hand may be welded to the world although the parts of a robot carry it.
-        if other is not None and joint.parent_body().index() != plant.world_body().index():
+        # A weld to the robot that carries the hand, or to the world, may move a palm beside a wrist joint.
+        if other is not None and joint.parent_body().model_instance() == model:
             raise HandError(f"the joints '{other.name()}' and '{joint.name()}' both move '{link.name()}'")
         inboard[link.index()] = joint
     paths: dict[BodyIndex, tuple[Joint, ...]] = {}
