@@ -13,6 +13,7 @@ import csv
 import io
 import os
 import re
+import sys
 import tokenize
 from pathlib import Path
 from unittest import mock
@@ -389,6 +390,17 @@ def people_table() -> str:
         persons = [str(sum(row["success"] == "1" for row in group)) if group else "–" for group in by_person]
         rows.append(f"| `{method}` | {fitted} | {' | '.join(cells)} | {', '.join(persons)} |")
     return "\n".join(rows)
+
+
+def criteria_table() -> str:
+    """A Markdown table of what spoiled criteria cost, from docs/results/criteria.csv."""
+    import pandas as pd
+
+    sys.path.insert(0, str(ROOT / "studies"))
+    from criteria import report
+
+    trials = pd.read_csv(ROOT / "docs" / "results" / "criteria.csv", dtype={"condition": str})
+    return report(trials.fillna({"condition": ""}).to_dict("records"))
 
 
 def _trial_counts(column: str) -> dict[str, dict[str, tuple[int, int]]]:
