@@ -372,6 +372,24 @@ def task_table(task: str) -> str:
     return "\n".join(rows)
 
 
+def small_objects_table() -> str:
+    """A Markdown table of small objects that people grasp, by method, from docs/results/small_objects.csv."""
+    import pandas as pd
+
+    trials = pd.read_csv(ROOT / "docs" / "results" / "small_objects.csv")
+    methods = list(dict.fromkeys(trials["method"]))
+    rows = [f"| object | {' | '.join(f'`{name}`' for name in methods)} |", f"|---|{'---|' * len(methods)}"]
+    groups = [(f"`{name}`", group) for name, group in trials.groupby("case", sort=False)]
+    for name, group in [*groups, ("all", trials)]:
+        cells = []
+        for method in methods:
+            of_method = group[group["method"] == method]
+            tips = of_method["tip_success"].sum()
+            cells.append(f"{of_method['success'].sum()} of {len(of_method)}, {tips} by fingertips alone")
+        rows.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(rows)
+
+
 def people_table() -> str:
     """A Markdown table of successes of other people, by method and task, from docs/results/people.csv."""
     with open(ROOT / "docs" / "results" / "people.csv", encoding="utf-8", newline="") as file:
