@@ -16,18 +16,17 @@ import argparse
 import importlib
 import itertools
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from scipy.stats import permutation_test
-from worsened import CASES, Trials, condition_of
+from worsened import CASES, add_options, condition_of, run_trials
 
 from geort_drake.benchmark.analysis import frame_of, holm
-from geort_drake.benchmark.log import Row, TrialKey, TrialLog, read_rows
-from geort_drake.benchmark.workers import call_in_workers, simulate
-from geort_drake.console import console, progress_bar, run_main
+from geort_drake.benchmark.log import Row, TrialKey
+from geort_drake.benchmark.workers import simulate
+from geort_drake.console import run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.person.engine import KINDS
 from geort_drake.simulation.tasks import find_task
@@ -146,25 +145,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     names = ["grasp", "pick_place", "peg", "keys", "cap"]
     parser.add_argument("--tasks", nargs="+", default=names, choices=names, help="default: all")
     parser.add_argument("--kinds", nargs="+", default=["adaptive", "mimicry", "servo"], metavar="KIND")
-    parser.add_argument("--hand", default="allegro_right", help="name or file of a hand description")
     parser.add_argument("--seeds", type=int, default=4, help="seeds of each map and kind of person")
     parser.add_argument(
         "--scripted-seeds", type=int, default=20, help="seeds of scripted robot and still hand"
     )
-    parser.add_argument("--jobs", type=int, default=2, help="number of parallel trials")
-    parser.add_argument("--output", type=Path, required=True, help="folder of trials.jsonl and report.md")
+    add_options(parser)
     arguments = parser.parse_args(argv)
     keys = keys_of(arguments.tasks, arguments.kinds, arguments.seeds, arguments.scripted_seeds)
-    with TrialLog(arguments.output) as log, progress_bar() as progress:
-        pending = log.unfinished(keys)
-        bar = progress.add_task("trials", total=len(pending), note="")
-        trials = Trials(arguments.hand).arguments(pending)
-        for row in call_in_workers(run, trials, arguments.jobs) if pending else ():
-            log.append(row)
-            progress.update(bar, advance=1)
-        text = report(read_rows(log.path))
-    (arguments.output / "report.md").write_text(text + "\n")
-    console.print(text)
+    run_trials(run, keys, report, arguments)
     return 0
 
 

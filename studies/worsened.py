@@ -1,12 +1,16 @@
 """Copies of a map with faults of known kinds and sizes, and the trials that people do through them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geort_drake.benchmark.log import TrialKey
+from geort_drake.benchmark.log import Row, TrialKey, TrialLog, read_rows
+from geort_drake.benchmark.workers import call_in_workers
+from geort_drake.console import console, progress_bar
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.methods import resolve
@@ -209,3 +213,29 @@ class Trials:
             retarget, _ = resolve(method, self._hand, self._play)
             self._maps[method] = after_play(retarget, self._person)
         return self._maps[method]
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Adds the options that `run_trials` reads."""
+    parser.add_argument("--hand", default="allegro_right", help="name or file of a hand description")
+    parser.add_argument("--jobs", type=int, default=2, help="number of parallel trials")
+    parser.add_argument("--output", type=Path, required=True, help="folder of trials.jsonl and report.md")
+
+
+def run_trials(
+    run: Callable[[TrialKey, Trial], Row],
+    keys: Sequence[TrialKey],
+    report: Callable[[Iterable[Row]], str],
+    options: argparse.Namespace,
+) -> None:
+    """Runs the trials of which the log has no result, and writes and prints the report of all rows."""
+    with TrialLog(options.output) as log, progress_bar() as progress:
+        pending = log.unfinished(keys)
+        bar = progress.add_task("trials", total=len(pending), note="")
+        trials = Trials(options.hand).arguments(pending)
+        for row in call_in_workers(run, trials, options.jobs) if pending else ():
+            log.append(row)
+            progress.update(bar, advance=1)
+        text = report(read_rows(log.path))
+    (options.output / "report.md").write_text(text + "\n")
+    console.print(text)
