@@ -85,6 +85,14 @@ def test_a_frame_is_valid_or_not(value):
         ({"t": None, "valid": None}, "it lacks t, valid"),
         ({"metadata": np.array("{")}, "metadata is not JSON"),
         ({"metadata": np.array('{"convention": 1}')}, "must name a side, one of: left, right"),
+        (
+            {"metadata": np.array('{"side": "left", "convention": 1, "warnings": 5}')},
+            "warnings must be a list of strings, not 5",
+        ),
+        (
+            {"metadata": np.array('{"side": "left", "convention": 1, "robot_signals": "arm"}')},
+            "robot_signals must be a list of strings, not 'arm'",
+        ),
     ],
 )
 def test_malformed_files_are_refused(tmp_path, changes, message):

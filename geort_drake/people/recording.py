@@ -165,6 +165,10 @@ class Recording:
             raise RecordingError(f"metadata is not JSON ({error})") from None
         if not isinstance(metadata, dict) or metadata.get("side") not in SIDES:
             raise RecordingError(f"metadata must name a side, one of: {', '.join(SIDES)}")
+        for field in ("warnings", "robot_signals"):
+            texts = metadata.get(field, [])
+            if not (isinstance(texts, list) and all(isinstance(text, str) for text in texts)):
+                raise RecordingError(f"metadata {field} must be a list of strings, not {texts!r:.60}")
         if metadata.get("convention") != CONVENTION:
             raise RecordingError(
                 f"convention {metadata.get('convention')!r} is not supported; expected {CONVENTION}"
