@@ -1,116 +1,208 @@
-"""Calibrates the simulated person: how well does it grasp through known affine maps?
+"""Calibrates the simulated person on maps of three families, and checks the result on other maps.
 
-python studies/calibrate_operator.py --json calibration.json
+python studies/calibrate_operator.py --output calibration
+python studies/calibrate_operator.py --output check --check firmer=2.25 closing_speed=0.03
 
-The person's parameters are chosen by this table alone, without any method under test: maps of known gain,
-rotation and offset, objects of each grip, a few seeds. Prints the number of successful grasps; --json saves
-every trial.
+`ASSUMED` names the numbers of the person that no source gives. In 32 variants of the person, each is half
+as large again or by a third smaller, in a fractional factorial design of two levels (2^(16−11), resolution
+IV). Every variant does each task once as each kind of person, through maps of three families that are turned
+or shrunk. The effect of a number on the score is estimated by least squares, beside the other numbers, the
+maps, tasks and kinds; p-values are corrected by Holm's method. A number with a significant effect moves to
+its better value. The second command checks such a change: people with and without it do every task through
+other maps, with other objects and seeds, in pairs. The same commands resume interrupted runs.
 """
 
 import argparse
-import copy
-import datetime
+import dataclasses as dc
+import functools
 import itertools
-import json
-import logging
-import statistics
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from joblib import Parallel, delayed
-from rich.table import Table
-from scipy.spatial.transform import Rotation
+import pandas as pd
+from criteria import least_squares
+from scipy.linalg import hadamard
+from scipy.stats import ttest_1samp
+from worsened import Trials, add_options, condition_of, run_trials
 
-from geort_drake.console import console, progress_bar, run_main
-from geort_drake.files import write_text
+from geort_drake.benchmark.analysis import frame_of, holm
+from geort_drake.benchmark.log import Row, TrialKey
+from geort_drake.benchmark.workers import simulate
+from geort_drake.console import run_main
+from geort_drake.simulation.person.config import OperatorConfig
+from geort_drake.simulation.person.engine import KINDS
+from geort_drake.simulation.trial import Trial
 
-# Name → gain, rotation vector (degrees, in B), offset of all fingertips (m, in B).
-MAPS = {
-    "gain 0.7": (0.7, (0, 0, 0), (0, 0, 0)),
-    "gain 1": (1.0, (0, 0, 0), (0, 0, 0)),
-    "gain 1.5": (1.5, (0, 0, 0), (0, 0, 0)),
-    "gain 2.2": (2.2, (0, 0, 0), (0, 0, 0)),
-    "gain 1.5, 20° about y": (1.5, (0, 20, 0), (0, 0, 0)),
-    "gain 1.5, 20° about z": (1.5, (0, 0, 20), (0, 0, 0)),
-    "gain 1.5, 15 mm off": (1.5, (0, 0, 0), (0.010, 0.005, -0.010)),
-}
-# Three for a tripod, two for a pinch, one for the whole hand.
-OBJECTS = ("cylinder", "cube", "sphere", "block_tiny", "rod", "bottle")
+LEVEL = 0.05
+FACTOR = 1.5
+# Numbers without a source, by the fields of `OperatorConfig` that change together.
+ASSUMED = [
+    ("correction_rate",),
+    ("mimicry_rate",),
+    ("closing_speed",),
+    ("squeeze_speed",),
+    ("grip_force", "grip_per_weight"),
+    ("firmer",),
+    ("opening_speed",),
+    ("lowering_speed",),
+    ("patience",),
+    ("shape_tolerance",),
+    ("overshoot",),
+    ("squeeze",),
+    ("jacobian_drift",),
+    ("neighbourhood",),
+    ("push_speed", "most_push"),
+    ("lift",),
+]
+FAMILIES = ("affine_ik", "geort", "universal")
+# Copies of each family's map, and cases of the tasks that have several, for the calibration and its check.
+FAULTS = ({"turned": 20.0}, {"shrunk": 0.4})
+OTHER_FAULTS = ({"uneven": 2.0}, {"mixed": 0.25, "gapped": 10.0})
+CASES = {"grasp": "pen", "pick_place": "block_20"}
+OTHER_CASES = {"grasp": "rod", "pick_place": "block_25"}
+TASKS = ("grasp", "pick_place", "peg", "keys", "cap")
+# Benchmarks use small seeds.
+FIRST_SEED, FIRST_OTHER_SEED = 100, 200
+SEEDS = 4
 
 
-def trial(map_name: str, object_name: str, seed: int, scenario_text: str | None) -> dict:
-    """Simulates a grasp through a map and returns its record."""
-    from affine_map import AffineMap
+def design() -> np.ndarray:
+    """Returns levels (32, 16), −1 or 1, of the numbers in each variant, each followed by its opposite.
 
-    from geort_drake.hands.description import load_hand
-    from geort_drake.hands.hand import Hand
-    from geort_drake.people.synthetic.hand import HumanHand
-    from geort_drake.people.synthetic.play import synthesize_play
-    from geort_drake.simulation.plan.grasp import GraspPlanner
-    from geort_drake.simulation.scenario_files import load_scenario
-    from geort_drake.simulation.trial import run_trial, seen_fingertips, select_reachable
+    Rows of a Hadamard matrix and their opposites: no main effect is confounded with an interaction of two.
+    """
+    return np.stack([hadamard(16), -hadamard(16)], axis=1).reshape(32, 16)
 
-    # Drake repeats the same warnings in every trial.
-    logging.getLogger("drake").setLevel(logging.ERROR)
-    scenario = copy.deepcopy(load_scenario(text=scenario_text))
-    scenario.object.name, scenario.random_seed = object_name, seed
-    description = load_hand(scenario.hand)
-    hand = Hand(description)
-    play = synthesize_play(seed=0, duration_s=60)
-    # Maps the centre of the person's fingertip positions to the centre of the robot's.
-    rest = play.fingertips(description.human_keypoints).mean(axis=0)
-    q = np.random.default_rng(0).uniform(hand.lower, hand.upper, (2000, len(hand.lower)))
-    shift = hand.fingertips(q).mean(axis=0) - hand.fingertips(hand.default_position)
-    gain, turn, offset = MAPS[map_name]
-    R = Rotation.from_rotvec(turn, degrees=True).as_matrix()
-    retarget = AffineMap(hand, rest, gain, R, shift + np.array(offset))
-    person = HumanHand.fit(play)
-    plans = GraspPlanner(scenario, description).plans()
-    goal, _ = select_reachable(plans, seen_fingertips(retarget, hand, person))
-    result, _ = run_trial(scenario, retarget, (person, goal))
-    return {"map": map_name, **result.to_json()}
+
+def maps_of(faults: Sequence[Mapping[str, float]]) -> list[tuple[str, str]]:
+    """Returns (method, condition) of each family's copies."""
+    return [(family, condition_of(each)) for each in faults for family in FAMILIES]
+
+
+def keys_of() -> list[TrialKey]:
+    """Returns the trials of the calibration, variant by variant; `person` is the number of the variant.
+
+    Opposite variants have the same maps and seeds.
+    """
+    maps = maps_of(FAULTS)
+    keys = []
+    for variant in range(len(design())):
+        pair = variant // 2
+        for cell, (task, kind) in enumerate(itertools.product(TASKS, KINDS)):
+            method, condition = maps[(pair + cell) % len(maps)]
+            seed = FIRST_SEED + pair % SEEDS
+            keys.append(TrialKey(method, 0, task, kind, condition, CASES.get(task, task), variant, seed))
+    return keys
+
+
+def check_keys(seeds: int) -> list[TrialKey]:
+    """Returns the trials of the check, in pairs; `person` is 1 with the change and 0 without."""
+    return [
+        TrialKey(method, 0, task, kind, condition, OTHER_CASES.get(task, task), changed, seed)
+        for seed in range(FIRST_OTHER_SEED, FIRST_OTHER_SEED + seeds)
+        for (method, condition), task, kind in itertools.product(maps_of(OTHER_FAULTS), TASKS, KINDS)
+        for changed in (0, 1)
+    ]
+
+
+class Variants(Trials):
+    """Makes the trials of persons whose numbers differ; `person` of a key chooses among `changes`."""
+
+    def __init__(self, hand_name: str, changes: Sequence[Mapping[str, float]]):
+        super().__init__(hand_name)
+        self._changes = changes
+
+    def trial(self, key: TrialKey) -> Trial:
+        trial = super().trial(key)
+        trial.scenario.operator = dc.replace(trial.scenario.operator, **self._changes[key.person])
+        trial.scenario.operator.validate()
+        return trial
+
+
+def changes() -> list[dict[str, float]]:
+    """Returns the changed numbers of each variant."""
+    present = OperatorConfig()
+    return [
+        {
+            name: getattr(present, name) * FACTOR**level
+            for names, level in zip(ASSUMED, levels, strict=True)
+            for name in names
+        }
+        for levels in design().astype(float)
+    ]
+
+
+def effects(frame: pd.DataFrame) -> pd.DataFrame:
+    """Returns a row per assumed number: effect on the score of its larger against its smaller value.
+
+    Columns: name, low, high (values), effect, its 95 % interval from `from` to `to`, p, and p_holm.
+    """
+    levels = design()[frame["person"].to_numpy(int)] / 2
+    cells = pd.get_dummies(frame["task"] + frame["kind"]).to_numpy(float)
+    maps = pd.get_dummies(frame["method"] + frame["condition"]).to_numpy(float)
+    A = np.hstack([levels, cells, maps])
+    x, half_widths, p = least_squares(A, frame["score"].to_numpy(float), len(ASSUMED))
+    present = OperatorConfig()
+    values = [getattr(present, names[0]) for names in ASSUMED]
+    return pd.DataFrame(
+        {
+            "name": [" and ".join(names) for names in ASSUMED],
+            "low": [value / FACTOR for value in values],
+            "high": [value * FACTOR for value in values],
+            "effect": x,
+            "from": x - half_widths,
+            "to": x + half_widths,
+            "p": p,
+            "p_holm": holm(p.tolist()),
+        }
+    )
+
+
+def report(rows: Iterable[Row]) -> str:
+    """Returns the effects of the numbers in Markdown, in points of 100 of the score."""
+    frame = frame_of(rows)
+    frame = frame[frame["error"].isna()]
+    lines = ["| number | smaller | larger | effect | p (Holm) |", "|---|---|---|---|---|"]
+    for row in effects(frame).to_dict("records"):
+        effect = f"{100 * row['effect']:+.0f} [{100 * row['from']:+.0f}, {100 * row['to']:+.0f}]"
+        effect = f"**{effect}**" if row["p_holm"] < LEVEL else effect
+        name = " and ".join(f"`{each}`" for each in row["name"].split(" and "))
+        lines.append(f"| {name} | {row['low']:.3g} | {row['high']:.3g} | {effect} | {row['p_holm']:.2g} |")
+    lines += ["", f"{len(frame)} trials, mean score {100 * frame['score'].mean():.0f}."]
+    return "\n".join(lines)
+
+
+def check_report(rows: Iterable[Row]) -> str:
+    """Returns what a change of the person brings, by family and in all, in Markdown."""
+    frame = frame_of(rows)
+    frame = frame[frame["error"].isna()]
+    index = ["method", "condition", "task", "kind", "seed"]
+    pairs = frame.pivot(index=index, columns="person", values="score").dropna()
+    lines = ["| family | pairs | without | with | p |", "|---|---|---|---|---|"]
+    for name, group in [*pairs.groupby("method"), ("all", pairs)]:
+        p = ttest_1samp(group[1] - group[0], 0.0).pvalue
+        without, changed = 100 * group[0].mean(), 100 * group[1].mean()
+        lines.append(f"| {name} | {len(group)} | {without:.0f} | {changed:.0f} | {p:.2g} |")
+    return "\n".join(lines)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--objects", nargs="+", default=list(OBJECTS), metavar="OBJECT")
-    parser.add_argument("--maps", nargs="+", default=list(MAPS), choices=list(MAPS), metavar="MAP")
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--scenario-text", help="YAML merged into the scenario, such as an operator's field")
-    parser.add_argument("--json", type=Path, help="file for date, table and every trial")
+    parser.add_argument("--check", nargs="+", metavar="FIELD=VALUE", help="change of the person to check")
+    parser.add_argument("--seeds", type=int, default=1, help="seeds of the check")
+    add_options(parser)
     arguments = parser.parse_args(argv)
-    cases = list(itertools.product(arguments.maps, arguments.objects, range(arguments.seeds)))
-    results = []
-    with progress_bar() as progress:
-        task = progress.add_task("trials", total=len(cases), note="")
-        for result in Parallel(arguments.jobs, return_as="generator")(
-            delayed(trial)(*case, arguments.scenario_text) for case in cases
-        ):
-            results.append(result)
-            progress.update(task, advance=1)
-    date = datetime.date.today().isoformat()
-    counts = {
-        name: {each: _success(results, name, each) for each in arguments.objects} for name in arguments.maps
-    }
-    table = Table("map", *arguments.objects, "median time", title=f"grasps that succeeded, {date}")
-    for name, row in counts.items():
-        times = [r["completion_time"] for r in results if r["map"] == name and r["success"]]
-        shares = [f"{count['successes']}/{count['trials']}" for count in row.values()]
-        table.add_row(name, *shares, f"{statistics.median(times):.1f} s" if times else "–")
-    console.print(table)
-    console.print(f"{sum(r['success'] for r in results)} of {len(results)} grasps succeeded")
-    if arguments.json is not None:
-        write_text(arguments.json, json.dumps({"date": date, "successes": counts, "trials": results}))
+    if arguments.check:
+        parts = (part.partition("=") for part in arguments.check)
+        change = {name: float(value) for name, _, value in parts}
+        make_trials = functools.partial(Variants, changes=[{}, change])
+        run_trials(simulate, check_keys(arguments.seeds), check_report, arguments, make_trials)
+    else:
+        make_trials = functools.partial(Variants, changes=changes())
+        run_trials(simulate, keys_of(), report, arguments, make_trials)
     return 0
-
-
-def _success(results: Sequence[dict], map_name: str, object_name: str) -> dict[str, int]:
-    trials = [r["success"] for r in results if r["map"] == map_name and r["object"] == object_name]
-    return {"successes": sum(trials), "trials": len(trials)}
 
 
 if __name__ == "__main__":

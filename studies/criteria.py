@@ -71,6 +71,22 @@ def keys_of(tasks: Sequence[str], kinds: Sequence[str]) -> list[TrialKey]:
     return keys
 
 
+def least_squares(
+    A: np.ndarray, scores: np.ndarray, effects: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fits A x = scores; `effects` is the number of the first columns that are of interest.
+
+    Returns:
+        (effects,) each: x, the half widths of its 95 % intervals, and its two-sided p-values.
+    """
+    freedom = len(scores) - np.linalg.matrix_rank(A)
+    x, *_ = np.linalg.lstsq(A, scores, rcond=None)
+    variance = float(np.square(scores - A @ x).sum()) / freedom
+    deviations = np.maximum(np.sqrt(np.diag(np.linalg.pinv(A.T @ A)) * variance), 1e-12)[:effects]
+    p = 2 * student.sf(np.abs(x[:effects]) / deviations, freedom)
+    return x[:effects], student.ppf(0.975, freedom) * deviations, p
+
+
 def effects(frame: pd.DataFrame) -> pd.DataFrame:
     """Returns the effect of each criterion for each task and kind of people.
 
@@ -87,14 +103,10 @@ def effects(frame: pd.DataFrame) -> pd.DataFrame:
         )
         repetitions = pd.get_dummies(group["seed"]).to_numpy(float)
         A, scores = np.hstack([spoiled, repetitions]), group["score"].to_numpy(float)
-        freedom = len(scores) - np.linalg.matrix_rank(A)
-        if freedom < 1:
+        if len(scores) <= np.linalg.matrix_rank(A):
             continue
-        x, *_ = np.linalg.lstsq(A, scores, rcond=None)
-        variance = float(np.square(scores - A @ x).sum()) / freedom
-        deviations = np.sqrt(np.diag(np.linalg.pinv(A.T @ A)) * variance)
+        x, half_widths, p = least_squares(A, scores, len(SPOILED))
         for number, name in enumerate(SPOILED):
-            effect, deviation = x[number], max(deviations[number], 1e-12)
             with_fault = spoiled[:, number] > 0
             rows.append(
                 {
@@ -104,10 +116,10 @@ def effects(frame: pd.DataFrame) -> pd.DataFrame:
                     "maps": len(scores),
                     "without": scores[~with_fault].mean(),
                     "with": scores[with_fault].mean(),
-                    "effect": effect,
-                    "low": effect - student.ppf(0.975, freedom) * deviation,
-                    "high": effect + student.ppf(0.975, freedom) * deviation,
-                    "p": 2 * student.sf(abs(effect) / deviation, freedom),
+                    "effect": x[number],
+                    "low": x[number] - half_widths[number],
+                    "high": x[number] + half_widths[number],
+                    "p": p[number],
                 }
             )
     table = pd.DataFrame(rows)

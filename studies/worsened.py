@@ -227,12 +227,16 @@ def run_trials(
     keys: Sequence[TrialKey],
     report: Callable[[Iterable[Row]], str],
     options: argparse.Namespace,
+    make_trials: Callable[[str], Trials] = Trials,
 ) -> None:
-    """Runs the trials of which the log has no result, and writes and prints the report of all rows."""
+    """Runs the trials of which the log has no result, and writes and prints the report of all rows.
+
+    `make_trials` makes the trials of keys from the name of a hand.
+    """
     with TrialLog(options.output) as log, progress_bar() as progress:
         pending = log.unfinished(keys)
         bar = progress.add_task("trials", total=len(pending), note="")
-        trials = Trials(options.hand).arguments(pending)
+        trials = make_trials(options.hand).arguments(pending)
         for row in call_in_workers(run, trials, options.jobs) if pending else ():
             log.append(row)
             progress.update(bar, advance=1)

@@ -57,7 +57,7 @@ def test_the_newest_version_is_within_the_range(name):
     assert pins("constraints.txt")[name] in ranges()[name].specifier
 
 
-STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {"affine_map", "worsened"}
+STUDIES = {path.stem for path in (ROOT / "studies").glob("*.py")} - {"worsened"}
 BENCHMARKS = {path.stem for path in (ROOT / "benchmarks").glob("bench_*.py")}
 PROGRAMS = [*(f"studies.{name}" for name in STUDIES), *(f"benchmarks.{name}" for name in BENCHMARKS)]
 
