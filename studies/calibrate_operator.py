@@ -23,7 +23,7 @@ import pandas as pd
 from criteria import least_squares
 from scipy.linalg import hadamard
 from scipy.stats import ttest_1samp
-from worsened import Trials, add_options, condition_of, run_trials
+from worsened import Trials, add_options, case_of, condition_of, run_trials
 
 from geort_drake.benchmark.analysis import frame_of, holm
 from geort_drake.benchmark.log import Row, TrialKey
@@ -91,14 +91,14 @@ def keys_of() -> list[TrialKey]:
         for cell, (task, kind) in enumerate(itertools.product(TASKS, KINDS)):
             method, condition = maps[(pair + cell) % len(maps)]
             seed = FIRST_SEED + pair % SEEDS
-            keys.append(TrialKey(method, 0, task, kind, condition, CASES.get(task, task), variant, seed))
+            keys.append(TrialKey(method, 0, task, kind, condition, case_of(task, CASES), variant, seed))
     return keys
 
 
 def check_keys(seeds: int) -> list[TrialKey]:
     """Returns the trials of the check, in pairs; `person` is 1 with the change and 0 without."""
     return [
-        TrialKey(method, 0, task, kind, condition, OTHER_CASES.get(task, task), changed, seed)
+        TrialKey(method, 0, task, kind, condition, case_of(task, OTHER_CASES), changed, seed)
         for seed in range(FIRST_OTHER_SEED, FIRST_OTHER_SEED + seeds)
         for (method, condition), task, kind in itertools.product(maps_of(OTHER_FAULTS), TASKS, KINDS)
         for changed in (0, 1)

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student
-from worsened import CASES, add_options, condition_of, faults_of, run_trials
+from worsened import add_options, case_of, condition_of, faults_of, run_trials
 
 from geort_drake.benchmark.analysis import frame_of, holm
 from geort_drake.benchmark.log import Row, TrialKey
@@ -65,7 +65,7 @@ def keys_of(tasks: Sequence[str], kinds: Sequence[str]) -> list[TrialKey]:
         for spoiled in design():
             faults = dict(SPOILED[name] for name, is_spoiled in spoiled.items() if is_spoiled)
             keys += [
-                TrialKey(METHOD, 0, task, kind, condition_of(faults), CASES.get(task, task), 0, repetition)
+                TrialKey(METHOD, 0, task, kind, condition_of(faults), case_of(task), 0, repetition)
                 for task, kind in itertools.product(tasks, kinds)
             ]
     return keys

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.stats import permutation_test
-from worsened import CASES, add_options, condition_of, run_trials
+from worsened import add_options, case_of, condition_of, run_trials
 
 from geort_drake.benchmark.analysis import frame_of, holm
 from geort_drake.benchmark.log import Row, TrialKey
@@ -29,7 +29,6 @@ from geort_drake.benchmark.workers import simulate
 from geort_drake.console import run_main
 from geort_drake.hands.description import load_hand
 from geort_drake.simulation.person.engine import KINDS
-from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import Trial
 
 FAMILIES = ("affine_ik", "geort", "universal")
@@ -52,7 +51,7 @@ def keys_of(tasks: Sequence[str], kinds: Sequence[str], seeds: int, scripted_see
     keys = []
     for seed in range(max(seeds, scripted_seeds)):
         for task in tasks:
-            case = CASES.get(task) or find_task(task).cases()[0]
+            case = case_of(task)
             kind = next(iter(KINDS))
             if seed < scripted_seeds:
                 keys += [TrialKey(name, 0, task, kind, "", case, 0, seed) for name in ("scripted", "hold")]

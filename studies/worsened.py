@@ -45,6 +45,11 @@ TWIST_STEPS = 5
 CASES = {"grasp": "cylinder", "pick_place": "block_25"}
 
 
+def case_of(task: str, cases: Mapping[str, str] = CASES) -> str:
+    """Returns the case of a task in `cases`, or its first."""
+    return cases.get(task) or find_task(task).cases()[0]
+
+
 def condition_of(faults: Mapping[str, float]) -> str:
     """Returns the field `condition` of a row, such as "shrunk=0.4+turned=30"; empty for the map itself."""
     return "+".join(f"{name}={size:g}" for name, size in faults.items())
