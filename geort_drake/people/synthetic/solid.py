@@ -124,11 +124,12 @@ class SolidHand:
             steps = max(1, math.ceil((self._reach @ np.abs(change)).max() / _STEP_M))
             path = theta + np.arange(steps + 1)[:, None] / steps * change
             path[-1] = target
-            blocked = self.depths(path[1:]).max(axis=1) > MAX_INTERPENETRATION
+            proximities = self._proximity(path[1:])
+            blocked = proximities.pair_depths().max(axis=1) > MAX_INTERPENETRATION
             if not blocked.any():
-                return path[-1], self._proximity(path[-1]).touching()
+                return path[-1], proximities.at(-1).touching()
             last_free = int(np.argmax(blocked))
-            proximity = self._proximity(path[last_free + 1])
+            proximity = proximities.at(last_free)
             start, (theta, touching) = theta, self._stop(path[last_free], path[last_free + 1], proximity)
             steps_left -= last_free + 1
             if steps_left <= 0 or (self._reach @ np.abs(theta - start)).max() < _AT_REST_M:
@@ -297,6 +298,10 @@ class _Proximity(NamedTuple):
             start, end, s, t, touching_distance - np.sqrt(np.einsum("...i,...i", separation, separation))
         )
 
+    def at(self, number: int) -> "_Proximity":
+        """Returns one of several postures' proximities."""
+        return _Proximity(*(values[number] for values in self))
+
     def pair_depths(self) -> np.ndarray:
         """Returns the deepest depth (..., 10), m, of each pair of digits."""
         return np.maximum.reduceat(self.depth, _PAIR_BOUNDS[:-1], axis=-1)
@@ -314,9 +319,9 @@ class _Proximity(NamedTuple):
         return p_first - p_second
 
     def normals(self, contacts: Sequence[int]) -> np.ndarray:
-        """Returns the directions (n, 3) of `apart`."""
-        apart = self.separation(contacts)
-        return apart / np.maximum(np.sqrt(np.sum(apart**2, axis=1, keepdims=True)), 1e-9)
+        """Returns the directions (n, 3) of `separation`."""
+        separation = self.separation(contacts)
+        return separation / np.maximum(np.sqrt(np.sum(separation**2, axis=1, keepdims=True)), 1e-9)
 
     def touching(self) -> np.ndarray:
         """Returns which digits (5,) touch another one."""

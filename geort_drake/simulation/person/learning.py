@@ -1,6 +1,7 @@
 """How a person learns the robot's response to their own motion."""
 
 import dataclasses as dc
+import functools
 import math
 
 import numpy as np
@@ -51,8 +52,13 @@ class LearnedMotion:
 
         The robot is assumed to move at least a third as far as the own finger in every direction.
         """
-        U, s, Vt = np.linalg.svd(self.J[finger])
+        U, s, Vt = (part[finger] for part in self._decomposition)
         return Vt.T @ ((U.T @ robot) / np.maximum(s, 1 / 3))
+
+    @functools.cached_property
+    def _decomposition(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Singular value decomposition of J."""
+        return np.linalg.svd(self.J)
 
 
 def motion_noise(config: OperatorConfig, elapsed: float) -> float:
