@@ -6,9 +6,9 @@ python studies/criteria.py --output criteria
 them, in a fractional factorial design of two levels (2^(7−3), resolution IV) that is repeated three times
 with other random axes. People of each kind do each task once through each map. The map is the unit: for
 each task and kind, the effect of a criterion is estimated from the scores of the 48 maps by least squares,
-beside the other criteria and the repetitions. p-values are corrected by Holm's method for all effects of
-the run. Two consecutive maps have opposite faults, so each even number of maps is balanced; the same
-command resumes an interrupted run.
+beside the other criteria and the repetitions, and likewise on the mean score of each map. Holm's method
+corrects p-values, for the effects on the mean score and for all others separately. Two consecutive maps
+have opposite faults, so each even number of maps is balanced; the same command resumes an interrupted run.
 """
 
 import argparse
@@ -128,13 +128,22 @@ def effects(frame: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
+def overall(frame: pd.DataFrame) -> pd.DataFrame:
+    """Returns the effects on the mean score over all tasks and kinds, as `effects` does, of complete maps."""
+    scores = frame.pivot(index=["condition", "seed"], columns=["task", "kind"], values="score").dropna()
+    means = scores.mean(axis=1).rename("score").reset_index()
+    return effects(means.assign(task="all", kind="all"))
+
+
 def report(rows: Iterable[Row]) -> str:
     """Returns the effects in Markdown: points of score that a criterion costs where it is spoiled."""
     frame = frame_of(rows)
-    table = effects(frame[frame["error"].isna()])
-    cases = sorted({(row.task, row.kind) for row in table.itertuples()})
+    frame = frame[frame["error"].isna()]
+    table = pd.concat([overall(frame), effects(frame)])
+    cases = [(task, kind) for (task, kind), _ in table.groupby(["task", "kind"])]
+    titles = ["all" if task == "all" else f"{task}, {kind}" for task, kind in cases]
     lines = [
-        "| criterion | " + " | ".join(f"{task}, {kind}" for task, kind in cases) + " |",
+        "| criterion | " + " | ".join(titles) + " |",
         "|---" * (len(cases) + 1) + "|",
     ]
     for name, group in table.groupby("criterion", sort=False):

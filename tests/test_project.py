@@ -184,3 +184,5 @@ def test_the_study_of_criteria_finds_which_faults_cost_score_and_how_much():
     table = criteria.effects(criteria.frame_of(rows)).set_index("criterion")
     assert table["low"]["direction"] < -0.3 < table["high"]["direction"]
     assert list(table.index[table["p_holm"] < 0.05]) == ["direction"]
+    overall = criteria.overall(criteria.frame_of(rows)).set_index("criterion")
+    np.testing.assert_allclose(overall["effect"], table["effect"])  # of a single task and kind
