@@ -233,8 +233,8 @@ def run_trials(
     report: Callable[[Iterable[Row]], str],
     options: argparse.Namespace,
     make_trials: Callable[[str], Trials] = Trials,
-) -> None:
-    """Runs the trials of which the log has no result, and writes and prints the report of all rows.
+) -> list[Row]:
+    """Runs the trials of which the log has no result, writes and prints the report, and returns all rows.
 
     `make_trials` makes the trials of keys from the name of a hand.
     """
@@ -245,6 +245,8 @@ def run_trials(
         for row in call_in_workers(run, trials, options.jobs) if pending else ():
             log.append(row)
             progress.update(bar, advance=1)
-        text = report(read_rows(log.path))
+        rows = read_rows(log.path)
+    text = report(rows)
     (options.output / "report.md").write_text(text + "\n")
     console.print(text)
+    return rows
