@@ -61,6 +61,7 @@ OTHER_FAULTS = ({"uneven": 2.0}, {"mixed": 0.25, "gapped": 10.0})
 CASES = {"grasp": "pen", "pick_place": "block_20"}
 OTHER_CASES = {"grasp": "rod", "pick_place": "block_25"}
 TASKS = ("grasp", "pick_place", "peg", "keys", "cap")
+FIRST_TASKS = ("grasp", "pick_place", "keys", "peg", "cap")  # from short to long
 # Benchmarks use small seeds.
 FIRST_SEED, FIRST_OTHER_SEED = 100, 200
 SEEDS = 4
@@ -80,9 +81,10 @@ def maps_of(faults: Sequence[Mapping[str, float]]) -> list[tuple[str, str]]:
 
 
 def keys_of() -> list[TrialKey]:
-    """Returns the trials of the calibration, variant by variant; `person` is the number of the variant.
+    """Returns the trials of the calibration, task by task; `person` is the number of the variant.
 
-    Opposite variants have the same maps and seeds.
+    Opposite variants have the same maps and seeds, and each task has all variants, so the trials of a few
+    tasks are balanced, too.
     """
     maps = maps_of(FAULTS)
     keys = []
@@ -92,7 +94,7 @@ def keys_of() -> list[TrialKey]:
             method, condition = maps[(pair + cell) % len(maps)]
             seed = FIRST_SEED + pair % SEEDS
             keys.append(TrialKey(method, 0, task, kind, condition, case_of(task, CASES), variant, seed))
-    return keys
+    return sorted(keys, key=lambda key: FIRST_TASKS.index(key.task))
 
 
 def check_keys(seeds: int) -> list[TrialKey]:
