@@ -26,7 +26,7 @@ from geort_drake.cli.simulate import try_out
 from geort_drake.errors import HandError, OutputError
 from geort_drake.hands.collision import HandClearance, collision_shapes
 from geort_drake.hands.description import write_description
-from geort_drake.hands.importers.arrangement import fingers_by_name
+from geort_drake.hands.importers.arrangement import finger_by_name
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.people.keypoints import FINGER_NAMES
@@ -36,7 +36,7 @@ from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 # The family: every number of fingers, format and kind of oddity, each with some of the others.
 FAMILY = [
-    HandSpec(2, "urdf", mimic=False, names="odd", turn=(90, 0, 180)),
+    HandSpec(2, "urdf", mimic=False, names="plain", turn=(90, 0, 180)),
     HandSpec(3, "sdf", mimic=True, names="odd", turn=(35, 20, -50), collision=False),
     HandSpec(4, "xml", mimic=True, names="odd", turn=(0, -90, 0), side="left"),
     HandSpec(5, "urdf", mimic=True, names="plain", turn=(-70, 25, 160), side="left"),
@@ -72,8 +72,8 @@ def test_fingers_base_and_side_are_found(spec, tmp_path):
 )
 def test_fingers_are_known_by_usual_names(names):
     """Words, and two letters in either case; other words that contain these do not count."""
-    assert fingers_by_name([[name] for name in names.split()]) == list(FINGER_NAMES)
-    assert fingers_by_name([[names.split()[0]], ["shift_j0"]]) is None
+    assert [finger_by_name([name]) for name in names.split()] == list(FINGER_NAMES)
+    assert not finger_by_name(["shift_j0"])
 
 
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
@@ -203,7 +203,8 @@ def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices
     assert description.finger_names == ["thumb", "index", "middle", "ring"]
     assert "one_j2" not in description.joint_names
     notes = "\n".join(notes)
-    assert "each moves 2 fingers at once: 'one_j2'" in notes and "names identify only the thumb" in notes
+    assert "each moves 2 fingers at once: 'one_j2'" in notes
+    assert "the fingers other than the thumb are named by their places" in notes
     Hand(description).kinematics()
 
 

@@ -1,7 +1,7 @@
 """The fingers of a model: their tips, from the geometry of their last links; and how they lie and bend."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +20,11 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, RigidBody
+from scipy.optimize import minimize
 
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.structure import Chain, HandStructure
-from geort_drake.hands.kinematics import HandKinematics
+from geort_drake.hands.kinematics import FingerChain, HandKinematics
 
 # The cross-section of this last fraction of a finger's last link gives the radius, within bounds, m.
 _END_FRACTION = 0.25
@@ -132,34 +133,25 @@ def parts_of(
 
 # Joints bend a finger if their axes are parallel to that of its last joint up to this angle.
 _PARALLEL = np.cos(np.deg2rad(35.0))
-_STRETCH_GRID = 41
-# A joint stays at its start where stretching lengthens the finger by less than this fraction.
-_STRETCH_GAIN = 0.02
-# A finger whose joints beyond the first are bent by more than this on average starts bent, rad.
-_BENT = np.deg2rad(15.0)
-# Fingers bend to one side if mid-range is off the stretched posture by this part of the range.
+# Fingers bend to one side if mid-range moves their tips to it by this part of their lengths.
 CLOSING_FRACTION = 0.25
 
 
 @dataclass(frozen=True)
 class FingerShape:
-    """A stretched finger in the frame of the hand base.
+    """A stretched finger: points (3,) in the frame of the hand base, m.
 
     Attributes:
-        p_base: (3,) origin of the finger's first joint, m.
-        p_knuckle: (3,) origin of the first joint that bends the finger, m.
-        p_tip: (3,) the fingertip, m.
-        p_middle: (3,) the fingertip where all joints are in the middle of their ranges, m.
-        bend: (3,) sum over the bending joints of axis times angle from stretched to mid-range, rad.
-        play: the sum of half the ranges of the bending joints, rad.
+        p_base: origin of the finger's first joint.
+        p_knuckle: origin of the first joint that bends the finger.
+        p_tip: the fingertip.
+        p_middle: the fingertip where all joints are in the middle of their ranges.
     """
 
     p_base: np.ndarray
     p_knuckle: np.ndarray
     p_tip: np.ndarray
     p_middle: np.ndarray
-    bend: np.ndarray
-    play: float
 
     @property
     def direction(self) -> np.ndarray:
@@ -173,73 +165,48 @@ class FingerShape:
 
     @property
     def bending(self) -> np.ndarray:
-        """(3,) direction in which the tip moves when the finger bends, longer the more it bends."""
-        return np.cross(self.bend, self.direction)
+        """(3,) how far the tip moves across the finger when all joints move to mid-range, m."""
+        moved = self.p_middle - self.p_tip
+        return moved - (moved @ self.direction) * self.direction
 
 
 def finger_shapes(hand: Hand, start: np.ndarray) -> list[FingerShape]:
     """Returns the shapes of a hand's stretched fingers.
 
-    Beyond its first bending joint, the finger is as long as it can be. A spread joint before it thus has no
-    influence, wherever it lies. The first bending joint itself stays at its start, where most models are
-    straight; where the joints beyond it start bent, it is taken to start bent by as much.
-
-    Args:
-        hand: the hand.
-        start: (n,) joint positions within the limits, rad.
+    From `start` (n,), rad, the joints beyond a finger's first bending joint turn until the tip is as far from
+    that joint as it can be. A spread joint before it thus has no influence, wherever it lies.
     """
     kinematics, coupling = hand.kinematics().uncoupled()
-    middle = 0.5 * (hand.lower + hand.upper)
-    fingers = [replace(kinematics, fingers=(chain,)) for chain in kinematics.fingers]
-    return [_shape(finger, coupling, start, middle) for finger in fingers]
+    return [_shape(hand, kinematics, coupling, chain, start) for chain in kinematics.fingers]
 
 
 def _shape(
-    kinematics: HandKinematics, coupling: np.ndarray, start: np.ndarray, middle: np.ndarray
+    hand: Hand, kinematics: HandKinematics, coupling: np.ndarray, chain: FingerChain, start: np.ndarray
 ) -> FingerShape:
-    """Returns the shape of the only finger of `kinematics`."""
-    (chain,) = kinematics.fingers
+    """Returns the shape of one finger, of a hand with the kinematics and coupling that `uncoupled` gives."""
     joints = list(chain.joint_indices)
-    lower, upper = kinematics.lower[joints], kinematics.upper[joints]
 
-    def pose(q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Returns the joints' axes and origins (N, m, 3) and tips (N, 3) at independent angles q (N, n)."""
-        X_BJ = kinematics.joint_poses(q @ coupling.T)[:, joints]
-        axes = (X_BJ[..., :3, :3] @ chain.axes[:, :, None])[..., 0]
-        return axes, X_BJ[..., :3, 3], X_BJ[:, -1, :3, :3] @ chain.p_tip + X_BJ[:, -1, :3, 3]
+    def poses(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Returns the poses (m, 4, 4) of the finger's joints and its tip (3,) at q (n,)."""
+        X_BJ = kinematics.joint_poses(q[None] @ coupling.T)[0, joints]
+        return X_BJ, X_BJ[-1, :3, :3] @ chain.p_tip + X_BJ[-1, :3, 3]
 
-    axes = pose(start[None])[0][0]
-    bends = np.abs(axes @ axes[-1]) > _PARALLEL
-    first = int(np.argmax(bends))
-    beyond = [joint for joint, bent in zip(joints[first + 1 :], bends[first + 1 :], strict=True) if bent]
-    movers = np.flatnonzero(coupling[beyond].any(axis=0)).tolist() if beyond else []
+    def closeness(angles: np.ndarray) -> float:
+        q[movers] = angles
+        X_BJ, tip = poses(q)
+        return -float(np.linalg.norm(tip - X_BJ[knuckle, :3, 3]))
+
+    X_BJ, _ = poses(start)
+    axes = (X_BJ[:, :3, :3] @ chain.axes[:, :, None])[..., 0]
+    knuckle, *beyond = np.flatnonzero(np.abs(axes @ axes[-1]) > _PARALLEL)
+    movers = np.flatnonzero(coupling[[joints[joint] for joint in beyond]].any(axis=0))
     q = start.copy()
-    for _ in range(2):
-        for joint in reversed(movers):
-            trials = np.tile(q, (_STRETCH_GRID + 1, 1))
-            # The first joints of `uncoupled` are those of q.
-            grid = np.linspace(kinematics.lower[joint], kinematics.upper[joint], _STRETCH_GRID)
-            trials[:, joint] = [start[joint], *grid]
-            _, origins, tips = pose(trials)
-            reach = np.linalg.norm(tips - origins[:, first], axis=1)
-            longest = int(np.argmax(reach))
-            q = trials[longest if reach[longest] > (1 + _STRETCH_GAIN) * reach[0] else 0]
-    (mover, *others) = np.flatnonzero(coupling[joints[first]]).tolist()
-    if movers and not others and mover not in movers:
-        # How far the joints beyond the first were turned to stretch the finger, and from there to mid-range.
-        turned, closing = (
-            (angles[:, None] * axes)[bends][1:].sum(axis=0)
-            for angles in ((coupling @ (q - start))[joints], 0.5 * (lower + upper) - (coupling @ q)[joints])
-        )
-        angle = float(turned @ axes[first]) / len(beyond) / coupling[joints[first], mover]
-        # If they were turned to the side to which they close, the start was straight or bent backwards.
-        if abs(angle) > _BENT and turned @ closing < 0.0:
-            q[mover] = np.clip(start[mover] + angle, kinematics.lower[mover], kinematics.upper[mover])
-    (axes,), (origins,), (tip,) = pose(q[None])
-    angles = (coupling @ q)[joints]
-    bend = ((0.5 * (lower + upper) - angles)[:, None] * axes)[bends].sum(axis=0)
-    play = float(0.5 * (upper - lower)[bends].sum())
-    return FingerShape(origins[0], origins[first], tip, pose(middle[None])[2][0], bend, play)
+    if movers.size:
+        limits = np.column_stack([hand.lower[movers], hand.upper[movers]])
+        q[movers] = minimize(closeness, start[movers], bounds=limits).x
+    X_BJ, tip = poses(q)
+    _, middle = poses(0.5 * (hand.lower + hand.upper))
+    return FingerShape(X_BJ[0, :3, 3], X_BJ[knuckle, :3, 3], tip, middle)
 
 
 def unit(v: np.ndarray) -> np.ndarray:
