@@ -1,9 +1,4 @@
-"""Finds the palm and the fingers of a hand's model.
-
-Links with the same root and the same movable joints from there are welded together. The tuple of the root's
-and these joints' names thus identifies a group of links; a group carries all groups whose tuples begin with
-its own.
-"""
+"""Finds the palm and the fingers of a hand's model."""
 
 import itertools
 from collections import Counter
@@ -12,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import RevoluteJoint, RigidBody
+from pydrake.multibody.tree import Joint, RevoluteJoint, RigidBody
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import HandError, UnknownNameError, listed, naming
@@ -21,14 +16,7 @@ from geort_drake.hands.description import resolved_couplings
 from geort_drake.hands.model_files import read_couplings
 
 MAX_FINGERS = 5
-# A second branch of a finger is a separate finger if it has this many joints of its own.
-_MIN_BRANCH_JOINTS = 2
-# This many joints in a row that move several chains form an arm; folding palms have one such joint.
-_MIN_ARM_JOINTS = 4
-_UNLIMITED = "has no position limits"  # why a joint is held
-_MIN_PALM_CHAINS = 3  # a link that carries this many chains is the palm of another hand
-
-Group = tuple[str, ...]
+_UNLIMITED = "has no position limits, or no range between them"  # why a joint is held
 
 
 @dataclass(frozen=True)
@@ -63,10 +51,10 @@ class HandStructure:
 
     Args:
         path: path of the model.
-        palm: link that carries the fingers; by default the one from which most chains start.
+        palm: link that carries the fingers; by default the one from which most joints start.
 
     Raises:
-        HandError: the model cannot be loaded, has fewer than two fingers, or is more than one hand.
+        HandError: the model cannot be loaded, or has no palm with 2 to 5 fingers, or several.
         UnknownNameError: the model has no such link.
     """
 
@@ -81,19 +69,19 @@ class HandStructure:
             self._find_hand(palm)
 
     def _find_hand(self, palm: str | None) -> None:
-        """Finalizes the plant, and finds root, palm, chains and held joints."""
+        """Finds palm, root, chains and held joints, and finalizes the plant."""
         plant = self.plant
         for constraint in plant.GetConstraintIds():
             plant.RemoveConstraint(constraint)
         detach_from_world(plant, self.hand)
-        joints = map(plant.get_joint, plant.GetJointIndices(self.hand))
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices(self.hand)]
         self._joints = {joint.name(): joint for joint in joints if joint.num_positions()}
-        self._groups = self._read_groups()
-        self._carrier = self._find_carrier(palm)
-        self.root = self._carrier[0]
-        # Anything else in the file, such as an object, is no part of the hand.
-        self._groups = {group: links for group, links in self._groups.items() if group[0] == self.root}
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(self.root, self.hand))
+        paths = joint_paths(plant, self.hand)  # refuses what is no tree
+        self.palm = self._welded(self._find_palm(palm))
+        path = paths[self.palm[0].index()]
+        root = path[0].parent_body() if path else self.palm[0]
+        self.root = root.name()
+        plant.WeldFrames(plant.world_frame(), root.body_frame())
         plant.Finalize()
         for coupling in self.couplings:
             for name in (coupling.joint, coupling.follows):
@@ -102,137 +90,103 @@ class HandStructure:
                         f"joint '{coupling.joint}' follows '{coupling.follows}', but the model has "
                         f"no movable joint '{name}'"
                     )
-        links = self._groups[self._carrier]
-        where = f"its palm, the link '{links[0].name()}'"
-        fingers = self._fingers()
-        longest = sorted(fingers, key=len, reverse=True)
-        if len(fingers) > MAX_FINGERS and len(longest[MAX_FINGERS]) == len(longest[MAX_FINGERS - 1]):
-            raise HandError(
-                f"{len(fingers)} chains of joints start at {where}; expected one hand of 2 to "
-                f"{MAX_FINGERS} fingers"
-            )
-        fingers = [finger for finger in fingers if finger in longest[:MAX_FINGERS]]
+        ends = self._paths_from(self.palm)
+        fingers = [path for path in ends if any(isinstance(joint, RevoluteJoint) for joint in path)]
         leaders = {c.joint: c.follows for c in resolved_couplings(self.couplings)}
         self.held_joints = self._find_held_joints(fingers, leaders)
-        self.chains = []
-        for finger in fingers:
-            if (chain := self._chain(finger, leaders)) is not None:
-                self.chains.append(chain)
-            elif unlimited := [name for name in finger if self.held_joints.get(name) == _UNLIMITED]:
-                names = listed([f"'{name}'" for name in unlimited])
-                raise HandError(
-                    f"the joints {names} have no position limits, so their finger could not move; give each "
-                    "limits, or make it a fixed joint"
-                )
-        if len(self.chains) < 2:
-            in_chains = set(itertools.chain(*fingers))
-            held = {name: why for name, why in self.held_joints.items() if name in in_chains}
-            reasons = "".join(f"; '{name}' {why}" for name, why in held.items())
+        chains = [self._chain(finger, leaders) for finger in fingers]
+        self.chains = [chain for chain in chains if chain is not None]
+        if not 2 <= len(self.chains) <= MAX_FINGERS:
+            names = {joint.name() for finger in fingers for joint in finger}
+            reasons = [f"'{name}' {why}" for name, why in self.held_joints.items() if name in names]
             raise HandError(
-                f"{len(self.chains)} chains of movable revolute joints start at {where}; expected a hand "
-                f"of 2 to {MAX_FINGERS} fingers{reasons}"
+                f"{len(self.chains)} chains of movable revolute joints start at its palm, the link "
+                f"'{self.palm[0].name()}'; expected one hand of 2 to {MAX_FINGERS} fingers; if another link "
+                f"is the palm, give it as --palm{'; ' * bool(reasons)}{listed(reasons)}"
             )
-        carried = Counter(self._joints[finger[0]].parent_body().index() for finger in fingers)
-        self.palm = sorted(links, key=lambda body: -carried[body.index()])
 
-    def _read_groups(self) -> dict[Group, list[RigidBody]]:
-        """Returns the groups of links, those nearest to their roots first."""
-        plant = self.plant
-        groups: dict[Group, list[RigidBody]] = {}
-        for index, path in joint_paths(plant, self.hand).items():
-            root = path[0].parent_body() if path else plant.get_body(index)
-            group = (root.name(), *(joint.name() for joint in path if joint.num_positions()))
-            links = groups.setdefault(group, [])
-            # The link that is not welded to another one towards the root comes first.
-            links.insert(len(links) if path and not path[-1].num_positions() else 0, plant.get_body(index))
-        if not groups:
-            raise HandError("the model has no links")
-        return dict(sorted(groups.items(), key=lambda item: len(item[0])))
+    def _welded(self, link: RigidBody) -> list[RigidBody]:
+        """Returns a link and the others that are welded to it."""
+        links = self.plant.GetBodiesWeldedTo(link)
+        return [link, *(other for other in links if other.index() != link.index())]
 
-    def _find_carrier(self, palm: str | None) -> Group:
-        """Returns the group with the named link, or the one nearest to a root from which most joints start.
+    def _find_palm(self, name: str | None) -> RigidBody:
+        """Returns the link of this name, or the one from which, with those welded to it, most joints start.
 
         Raises:
-            HandError: the model has several hands, or an arm in addition to other chains.
-            UnknownNameError: it has no such link.
+            HandError: as many joints start from several links.
+            UnknownNameError: the model has no link of this name.
         """
-        groups = self._groups
-        if palm is not None:
-            group_of = {body.name(): group for group, bodies in groups.items() for body in bodies}
-            if palm not in group_of:
-                raise UnknownNameError("link of the model", palm, group_of)
-            return group_of[palm]
-        outgoing = Counter(group[:-1] for group in groups)
-        size = Counter(group[0] for group in groups)
-        carrier = max(groups, key=lambda group: (outgoing[group], size[group[0]]))
-        branching = [group for group in groups if outgoing[group] > 1]
-        palms = [
-            group
-            for group in branching
-            if outgoing[group] >= _MIN_PALM_CHAINS
-            or (group[0] == carrier[0] and outgoing[group] == outgoing[carrier])
+        links = [self.plant.get_body(index) for index in self.plant.GetBodyIndices(self.hand)]
+        if not links:
+            raise HandError("the model has no links")
+        if name is None:
+            carriers: dict[int, list[str]] = {}
+            for joint in self._joints.values():
+                parent = joint.parent_body()
+                first = min(int(link.index()) for link in self._welded(parent))
+                carriers.setdefault(first, []).append(parent.name())
+            most = max(map(len, carriers.values()), default=0)
+            order = [link.name() for link in links]
+            palms = [max(order, key=names.count) for names in carriers.values() if len(names) == most]
+            if most > 1 and len(palms) > 1:
+                choices = ", ".join(f"'{palm}'" for palm in palms)
+                raise HandError(
+                    f"the palm is not clear: {most} chains of joints start at each of {choices}; give it as "
+                    "--palm, or put the hand into a file of its own"
+                )
+            name = palms[0] if palms else order[0]
+        by_name = {link.name(): link for link in links}
+        if name not in by_name:
+            raise UnknownNameError("link of the model", name, by_name)
+        return by_name[name]
+
+    def _paths_from(self, links: list[RigidBody]) -> list[list[Joint]]:
+        """Returns the joints from links that are welded together to each end of the tree beyond them."""
+        indices = {link.index() for link in links}
+        return [
+            [joint, *path]
+            for joint in self._joints.values()
+            if joint.parent_body().index() in indices
+            for path in self._paths_from(self._welded(joint.child_body())) or [[]]
         ]
-        # Groups nearer to the root come first.
-        separate = any(b[: len(a)] != a for a, b in itertools.combinations(palms, 2))
-        on_palm = [group for group in branching if group[: len(carrier)] == carrier]
-        if separate or any(len(group) - len(carrier) >= _MIN_ARM_JOINTS for group in on_palm):
-            choices = []
-            for group in branching:
-                starting = [self._joints[other[-1]] for other in groups if other[:-1] == group]
-                parents = [joint.parent_body().name() for joint in starting]
-                choices.append(f"'{max(parents, key=parents.count)}'")
-            raise HandError(
-                f"more than one hand: several chains of joints start at each of {', '.join(choices)}; "
-                "give the palm as --palm, or put the hand into a file of its own"
-            )
-        return carrier
 
-    def _fingers(self) -> list[Group]:
-        """Returns the joints of each chain that may be a finger, from the palm on."""
-        start, inner = len(self._carrier), {group[:-1] for group in self._groups}
-        on_palm = [group for group in self._groups if group[:start] == self._carrier]
-        ends = [group[start:] for group in on_palm if group not in inner]
-        fingers: list[Group] = []
-        for path in sorted(ends, key=len, reverse=True):
-            branches = [finger for finger in fingers if finger[:1] == path[:1]]
-            trunk = set(path).difference(*branches)
-            revolute = any(isinstance(self._joints[name], RevoluteJoint) for name in path)
-            if revolute and (not branches or len(trunk) >= _MIN_BRANCH_JOINTS):
-                fingers.append(path)
-        return [path for path in ends if path in fingers]
-
-    def _find_held_joints(self, fingers: list[Group], leaders: dict[str, str]) -> dict[str, str]:
+    def _find_held_joints(self, fingers: list[list[Joint]], leaders: dict[str, str]) -> dict[str, str]:
         """Returns the joints that cannot belong to a finger, and the reason for each."""
-        moved_fingers: dict[str, set[int]] = {}
-        for number, finger in enumerate(fingers):
-            for name in finger:
-                for mover in {name, leaders.get(name, name)}:
-                    moved_fingers.setdefault(mover, set()).add(number)
-        on_fingers = set(itertools.chain(*fingers))
+        names = [{joint.name() for joint in finger} for finger in fingers]
+        moved = Counter(itertools.chain(*({leaders.get(name, name) for name in each} for each in names)))
         reasons = {}
         for name, joint in self._joints.items():
             if name in leaders:
                 continue
-            if name not in on_fingers:
+            if not any(name in each for each in names):
                 reasons[name] = "belongs to no finger"
-            elif len(moved_fingers[name]) > 1:
-                reasons[name] = f"moves {len(moved_fingers[name])} fingers at once"
+            elif moved[name] > 1:
+                reasons[name] = f"moves {moved[name]} fingers at once"
             elif not isinstance(joint, RevoluteJoint):
                 reasons[name] = "is not a revolute joint"
-            elif not np.isfinite([joint.position_lower_limit(), joint.position_upper_limit()]).all():
+            elif not -np.inf < joint.position_lower_limit() < joint.position_upper_limit() < np.inf:
                 reasons[name] = _UNLIMITED
-            elif joint.position_lower_limit() >= joint.position_upper_limit():
-                reasons[name] = "has no range between its position limits"
         return reasons
 
-    def _chain(self, finger: Group, leaders: dict[str, str]) -> Chain | None:
-        """Returns the chain of a finger; None if none of its joints moves independently."""
-        moving = [name for name in finger if leaders.get(name, name) not in self.held_joints]
+    def _chain(self, finger: list[Joint], leaders: dict[str, str]) -> Chain | None:
+        """Returns the chain of a finger; None if it moves only with others.
+
+        Raises:
+            HandError: it cannot move, because its joints have no limits.
+        """
+        names = [joint.name() for joint in finger]
+        moving = [name for name in names if leaders.get(name, name) not in self.held_joints]
         independent = [name for name in moving if name not in leaders]
         if not independent:
+            if unlimited := [f"'{name}'" for name in names if self.held_joints.get(name) == _UNLIMITED]:
+                raise HandError(
+                    f"the joints {listed(unlimited)} have no position limits, so their finger could not "
+                    "move; give each limits, or make it a fixed joint"
+                )
             return None
-        # The links of each joint, from the palm on. Links beyond held joints move with the last moving one.
-        links = [self._groups[self._carrier + finger[: number + 1]] for number in range(len(finger))]
-        bodies = list(itertools.chain(*links[finger.index(moving[-1]) :]))
-        names = [*finger, *(body.name() for body in itertools.chain(*links))]
+        # Links beyond held joints move with the last moving one.
+        links = [self._welded(joint.child_body()) for joint in finger]
+        bodies = list(itertools.chain(*links[names.index(moving[-1]) :]))
+        names += [link.name() for link in itertools.chain(*links)]
         return Chain(independent, moving, bodies, names)
