@@ -19,6 +19,7 @@ from geort_drake.simulation.person.finger_motion import FingerMotion
 from geort_drake.simulation.person.handling import (
     GRASP,
     PLACE,
+    all_feel,
     has_retreated,
     is_down,
     is_gathered,
@@ -316,6 +317,27 @@ def test_an_object_that_moves_while_the_hand_surrounds_it_is_grasped_at_once(pus
     seen = Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, np.zeros(4))
     m = moment(world, "surround", seen, rng, p_WO=world.X_WO.translation() + [pushed, 0, 0])
     assert is_gathered(m) == following
+
+
+@pytest.mark.parametrize(
+    ("contact", "still", "following"),
+    [
+        ((1.0, 1.0, 1.0, 0.0), False, "squeeze"),
+        ((1.0, 1.0, 0.0, 0.0), False, None),  # the middle finger still comes nearer
+        ((1.0, 1.0, 0.0, 0.0), True, "squeeze"),
+        ((0.0, 1.0, 1.0, 0.0), True, None),  # nothing is held without the thumb
+        ((1.0, 0.0, 0.0, 0.0), True, None),
+    ],
+)
+def test_a_finger_that_comes_no_nearer_is_not_waited_for_once_others_hold_the_object(
+    contact, still, following, rng
+):
+    world = StandInWorld(1.0, OperatorConfig())
+    seen = Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, np.array(contact))
+    m = moment(world, "close", seen, rng)
+    m.memory.movements = world.config.max_corrections
+    m.memory.best_time = 0.0 if still else m.t
+    assert all_feel(m) == following
 
 
 def test_each_finger_presses_until_it_has_its_part_of_the_grip(rng):

@@ -346,11 +346,12 @@ def is_gathered(m: Moment) -> str | None:
 
 
 def all_feel(m: Moment) -> str | None:
-    """all grasping fingers feel the object"""
+    """all grasping fingers feel the object, or thumb and others do and the rest comes no nearer"""
+    feels = m.goal.touches & m.feels
+    holds = feels[m.thumb] and np.count_nonzero(feels) > 1
     # A person without touch takes fingers that have stopped to be touching.
-    if m.feels[m.goal.touches].all() or (not m.config.touch and _at_limit(m)):
-        return begin_squeeze(m)
-    return None
+    is_closed = _at_limit(m) and (holds or not m.config.touch)
+    return begin_squeeze(m) if is_closed or feels[m.goal.touches].all() else None
 
 
 def begin_squeeze(m: Moment) -> str:
