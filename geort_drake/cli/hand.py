@@ -105,10 +105,12 @@ class AddHand(Command):
         require_writable(path)
         model = source
         notes: list[str] = []
-        meshes = listed([mesh.name for mesh in unreadable_meshes(source)])
-        if meshes:
-            model = convert_model(source, path.with_name(f"{path.stem}_model"), notes)
-            notes.append(f"in the copy in {model.parent.name}, convex hulls replace {meshes}")
+        if meshes := unreadable_meshes(source):
+            model = convert_model(source, path.with_name(f"{path.stem}_model"))
+            names = listed([mesh.name for mesh in meshes])
+            notes.append(f"in the copy in {model.parent.name}, convex hulls replace {names}")
+            if any(mesh.suffix.lower() == ".glb" for mesh in meshes):
+                notes.append("the .glb meshes are taken to have z up, not y as in glTF; check their hulls")
         description, guesses = propose(model, name, self.palm, self.hulls)
         notes += guesses
         write_description(description, path, [f"Made by geort-drake hand add from {source.name}.", *notes])

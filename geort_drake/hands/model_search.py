@@ -36,7 +36,7 @@ def find_model(description: HandDescription) -> Path:
     folder = cache_dir() / "models" / f"{description.name}-{_digest(path):.12}"
     if not (folder / path.name).is_file():
         folder.parent.mkdir(parents=True, exist_ok=True)
-        convert_model(path, folder, [])
+        convert_model(path, folder)
     return folder / path.name
 
 

@@ -7,20 +7,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from pydrake.math import RigidTransform, RollPitchYaw
-
 from geort_drake.errors import HandError, OutputError
 from geort_drake.files import atomic_directory, write_text
-from geort_drake.hands.model_files import mesh_elements, read_model, resolve_reference
+from geort_drake.hands.model_files import mesh_elements, read_model
 
 if TYPE_CHECKING:
     import trimesh
 
 _READABLE = (".obj", ".vtk", ".gltf")
 _CONVERTIBLE = (".stl", ".glb", ".ply", ".dae")
-# Rotates coordinates with y up, as in glTF, to z up.
-_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]])
 
 
 def unreadable_meshes(model: Path) -> list[Path]:
@@ -35,14 +30,13 @@ def unreadable_meshes(model: Path) -> list[Path]:
     return [mesh for mesh in meshes if mesh.suffix.lower() not in _READABLE]
 
 
-def convert_model(model: Path, folder: Path, notes: list[str]) -> Path:
+def convert_model(model: Path, folder: Path) -> Path:
     """Writes a copy of a model that Drake can read into a new folder; returns the copy's path.
 
-    The hulls are next to the copy, whose mesh paths are all relative. Meshes in .glb have y up, unless the
-    centers of mass of a URDF indicate z up: `notes` then receives a sentence.
+    The hulls are next to the copy, whose mesh paths are all relative.
 
     Raises:
-        HandError: a mesh is missing, damaged, or of an unknown format; or a pose or scale is invalid.
+        HandError: a mesh is missing, damaged, or of an unknown format.
         OutputError: the folder contains other files than an earlier copy, or the model itself.
     """
     from trimesh.exchange.obj import export_obj
@@ -53,12 +47,6 @@ def convert_model(model: Path, folder: Path, notes: list[str]) -> Path:
     tree = read_model(model)
     with atomic_directory(folder) as draft:
         hulls = {mesh: _hull_of_mesh(mesh) for mesh in unreadable_meshes(model)}
-        glb = {mesh: hull for mesh, hull in hulls.items() if mesh.suffix.lower() == ".glb"}
-        if _has_y_up(tree, model, glb):
-            for hull in glb.values():
-                hull.vertices = hull.vertices @ _Z_UP.T
-        else:
-            notes.append("the .glb meshes have z up, not y, as the links' centers of mass indicate")
         names: dict[Path, Path] = {}
         for mesh, hull in hulls.items():
             stem = re.sub(r"\W+", "_", mesh.stem)
@@ -87,42 +75,11 @@ def _text_of(tree: ET.Element, model: Path, folder: Path, hulls: Mapping[Path, P
     return ET.tostring(tree, encoding="unicode")
 
 
-def _has_y_up(tree: ET.Element, model: Path, hulls: "Mapping[Path, trimesh.Trimesh]") -> bool:
-    """Decides whether .glb meshes have y up, as in glTF, or z up, as in the .glb meshes of many URDF files.
-
-    In the right axes, the hulls' centers are nearer to the links' centers of mass. Without these, y is up.
-
-    Args:
-        tree: XML of the model.
-        model: file of the model.
-        hulls: hulls of the meshes, in the meshes' own axes.
-    """
-    distances = np.zeros(2)  # sums over the links' shapes with y and with z up, m
-    for link in tree.iter("link"):
-        inertial = link.find("inertial/origin")
-        for shape in [*link.findall("visual"), *link.findall("collision")]:
-            mesh, origin = shape.find("geometry/mesh"), shape.find("origin")
-            hull = None if mesh is None else hulls.get(resolve_reference(model, mesh.get("filename", "")))
-            if hull is None or inertial is None:
-                continue
-            X_LM = RigidTransform(RollPitchYaw(_numbers(origin, "rpy")), _numbers(origin, "xyz"))
-            centers = np.column_stack([_Z_UP @ hull.center_mass, hull.center_mass])
-            p_LC = X_LM @ (_numbers(mesh, "scale", "1 1 1")[:, None] * centers)
-            distances += np.linalg.norm(p_LC - _numbers(inertial, "xyz")[:, None], axis=0)
-    return bool(distances[0] <= distances[1])
-
-
-def _numbers(element: ET.Element | None, attribute: str, default: str = "0 0 0") -> np.ndarray:
-    """Returns the three numbers of an attribute, or the default ones."""
-    text = default if element is None else element.get(attribute, default)
-    try:
-        return np.array(text.split(), float).reshape(3)
-    except ValueError as error:
-        raise HandError(f"{attribute} must be three numbers; given: {text}") from error
-
-
 def _hull_of_mesh(mesh: Path) -> "trimesh.Trimesh":
-    """Returns the convex hull of a mesh, in the mesh's axes and unit; for COLLADA in m."""
+    """Returns the convex hull of a mesh, in the mesh's axes and unit; for COLLADA in m.
+
+    In the .glb meshes of published hands, z is up as in URDF, and not y as in glTF, so axes are kept.
+    """
     if not mesh.is_file():
         raise HandError(f"the mesh file {mesh} is missing")
     suffix = mesh.suffix.lower()
