@@ -71,7 +71,7 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
         for name, number in zip(FINGER_NAMES[1:], in_order, strict=False):
             names[number] = name
         notes.append("the fingers other than the thumb are named by their places")
-    parts, _ = geometry_of(structure, structure.palm)
+    parts = geometry_of(structure, structure.palm)
     origins = [plant.EvalBodyPoseInWorld(context, link).translation() for link in structure.palm]
     palm = np.vstack([*origins, *(part.points for part in parts)])
     # The hand base is at the wrist end of the palm, behind the middle of the knuckles.

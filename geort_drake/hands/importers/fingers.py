@@ -42,49 +42,45 @@ class Part(NamedTuple):
     points: np.ndarray
 
 
-def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndarray, float, str]:
-    """Finds the tip of a finger: the centre of its rounded end.
-
-    The tip is the end of the finger's collision geometry, else of its visual geometry, else a guess.
+def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndarray, float]:
+    """Finds the tip of a finger: the centre of its rounded end, from the geometry of its last links.
 
     Returns:
-        Link, point (3,) in its frame, m, radius, m, and words for the user on what the tip was derived from.
+        Link, point (3,) in its frame, m, and radius, m.
     """
     plant = structure.plant
     context = plant.CreateDefaultContext()
     joints = [plant.GetJointByName(name, structure.hand) for name in chain.moving]
     p_RJ = [joint.frame_on_child().CalcPoseInWorld(context).translation() for joint in joints]
-    parts, kind = geometry_of(structure, chain.bodies)
+    parts = geometry_of(structure, chain.bodies)
     if parts:
-        link, p_RT, radius, source = _end_of(parts, p_RJ[-1], kind)
+        link, p_RT, radius = _end_of(parts, p_RJ[-1])
     else:
-        offsets = [p_RJ[-1] - p for p in reversed(p_RJ)]
-        along = next((v for v in offsets if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
-        link, p_RT = chain.bodies[0], p_RJ[-1] + _DEFAULT_LENGTH * along
-        radius, source = _DEFAULT_RADIUS, "the positions of joints alone"
-    return link, plant.EvalBodyPoseInWorld(context, link).inverse() @ p_RT, radius, source
+        lengths = [p_RJ[-1] - p for p in reversed(p_RJ)]
+        along = next((v for v in lengths if np.linalg.norm(v) > 1e-3), np.zeros(3))
+        link, p_RT, radius = chain.bodies[0], p_RJ[-1] + _DEFAULT_LENGTH * along, _DEFAULT_RADIUS
+    return link, plant.EvalBodyPoseInWorld(context, link).inverse() @ p_RT, radius
 
 
-def _end_of(parts: list[Part], p_RJ: np.ndarray, kind: str) -> tuple[RigidBody, np.ndarray, float, str]:
+def _end_of(parts: list[Part], p_RJ: np.ndarray) -> tuple[RigidBody, np.ndarray, float]:
     """Returns what `find_tip` does, with the point p_RT, of geometries that move with the joint at p_RJ."""
     points = np.concatenate([part.points for part in parts])
     distance = np.linalg.norm(points - p_RJ, axis=1)
     along = (points[distance.argmax()] - p_RJ) / distance.max()
-    owner = np.repeat(np.arange(len(parts)), [len(part.points) for part in parts])
-    link, X_RG, shape, _ = parts[owner[distance.argmax()]]
+    link, X_RG, shape, _ = max(parts, key=lambda part: np.linalg.norm(part.points - p_RJ, axis=1).max())
     if isinstance(shape, Sphere | Capsule):
         end = np.array([0.0, 0.0, 0.5 * shape.length() if isinstance(shape, Capsule) else 0.0])
         centre = max((X_RG @ end, X_RG @ -end), key=lambda p: float((p - p_RJ) @ along))
-        return link, centre, shape.radius(), f"a sphere of the {kind}"
+        return link, centre, shape.radius()
     depth = (points - p_RJ) @ along
     end_points = points[depth > (1 - _END_FRACTION) * depth.max()] - p_RJ
     across = end_points - np.outer(end_points @ along, along)
     _, _, axes = np.linalg.svd(across - across.mean(axis=0), full_matrices=False)
     low, high = (across @ axes[:2].T).min(axis=0), (across @ axes[:2].T).max(axis=0)
-    radius = float(np.clip(0.5 * (high - low).min(), *_RADIUS_RANGE))
-    radius = min(radius, 0.5 * depth.max())
+    smallest, largest = _RADIUS_RANGE
+    radius = float(np.clip(0.5 * (high - low).min(), smallest, min(largest, 0.5 * depth.max())))
     centre = p_RJ + along * (depth.max() - radius) + axes[:2].T @ (0.5 * (low + high))
-    return link, centre, radius, f"the end of the {kind}"
+    return link, centre, radius
 
 
 def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
@@ -106,13 +102,12 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
     return (box.pose() @ (box.half_width()[:, None] * signs)).T
 
 
-def geometry_of(structure: HandStructure, links: Sequence[RigidBody]) -> tuple[list[Part], str]:
-    """Returns the links' collision geometry in the root link R, or their visual geometry, and which it is."""
-    for role, kind in ((Role.kProximity, "collision geometry"), (Role.kIllustration, "visual geometry")):
-        frame = structure.plant.world_frame()
-        if parts := parts_of(structure.plant, structure.scene_graph, links, role, frame):
-            return parts, kind
-    return [], ""
+def geometry_of(structure: HandStructure, links: Sequence[RigidBody]) -> list[Part]:
+    """Returns the links' collision geometry in the root link R, or else their visual geometry."""
+    plant, scene_graph = structure.plant, structure.scene_graph
+    roles = (Role.kProximity, Role.kIllustration)
+    parts = (parts_of(plant, scene_graph, links, role, plant.world_frame()) for role in roles)
+    return next(filter(None, parts), [])
 
 
 def parts_of(

@@ -2,7 +2,7 @@
 
 import dataclasses as dc
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +25,10 @@ from geort_drake.hands.importers.fingers import find_tip, parts_of
 from geort_drake.hands.importers.structure import HandStructure
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 
-_BASE_NAME = "hand_base"
 # Links that touch in this fraction of random postures are assumed to touch in all postures.
 _PERMANENT_FRACTION = 0.95
-# Random postures in the search for one without self-collision.
-_POSTURES = 300
-# Steps towards the middle of the joints' ranges in the search for a start without self-collision.
-_OPENINGS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
+# Random postures towards which the start moves, in this many steps, until it is free of self-collision.
+_POSTURES, _STEPS = 100, 10
 # With this rotation on the shipped adapter, deg, a left hand is the mirror image of a right hand.
 _LEFT_MOUNT = (0.0, 0.0, 90.0)
 # Gains for models without position controllers: those of the Allegro hand, N·m/rad, N·m·s/rad, N·m.
@@ -46,7 +43,7 @@ def propose(
     Args:
         model: URDF, SDF or MJCF file.
         name: name of the hand; by default derived from the file's.
-        palm: link that carries the fingers; by default the one from which most chains of joints start.
+        palm: link that carries the fingers; by default the one from which most joints start.
         hulls: whether links without collision geometry collide as they are drawn.
 
     Returns:
@@ -57,33 +54,29 @@ def propose(
         UnknownNameError: the model has no such link.
     """
     structure = HandStructure(model.resolve(), palm)
-    draft, tip_sources = _draft(structure, name or re.sub(r"\W+", "_", model.stem), hulls)
-    notes = []
-    if hulls:
-        notes.append(f"links that collide as they are drawn: {listed(draft.collide_as_drawn) or 'none'}")
-    for joint in draft.joint_names:
-        if not structure.plant.GetJointByName(joint, structure.hand).velocity_upper_limit() > 0:
-            notes.append(
-                f"the velocity limit 0 of joint '{joint}' counts as unknown: correct it in the model"
-            )
+    notes = structure.notes
+    draft = _draft(structure, name or re.sub(r"\W+", "_", model.stem), hulls)
     hand = Hand(draft)
     names, X_PB, side = arrange(structure, hand, notes)
     fingers = [
         dc.replace(finger, name=label, human_keypoint=TIP_KEYPOINT[label])
         for finger, label in zip(draft.fingers, names, strict=True)
     ]
-    notes += [*_notes_on_tips(fingers, tip_sources), *_notes_on_held_joints(structure), *structure.notes]
+    notes += _notes_on_joints(structure, draft.joint_names)
     overlaps = _overlaps(hand)
     if overlaps:
         # First the pairs that can be apart.
         pairs = sorted(overlaps.items(), key=lambda item: item[1])
         texts = [f"'{a}' and '{b}' in {share:.0%} of postures" for (a, b), share in pairs]
         notes.append(f"contacts of links with overlapping shapes are ignored: {listed(texts)}")
+    base_frame = "hand_base"
+    while structure.plant.HasFrameNamed(base_frame, structure.hand):
+        base_frame += "_"
     palm_link, rpy_deg = structure.palm[0].name(), np.rad2deg(RollPitchYaw(X_PB.rotation()).vector())
     description = dc.replace(
         draft,
         side=side,
-        base_frame=_new_frame_name(structure),
+        base_frame=base_frame,
         base_pose=BasePoseDescription(palm_link, _round(X_PB.translation()), _round(rpy_deg, 2)),
         fingers=sorted(fingers, key=lambda finger: FINGER_NAMES.index(finger.name)),
         ignored_collisions=sorted([a, b] for a, b in overlaps),
@@ -102,57 +95,38 @@ def propose(
     return description, notes
 
 
-def _draft(structure: HandStructure, name: str, hulls: bool) -> tuple[HandDescription, list[str]]:
-    """Returns what is known without the hand base, and what each finger's tip was derived from.
+def _draft(structure: HandStructure, name: str, hulls: bool) -> HandDescription:
+    """Returns what is known without the hand base.
 
     The root link stands for the base, and the fingers have provisional names.
     """
-    fingers: list[FingerDescription] = []
-    sources: list[str] = []
-    for chain, label in zip(structure.chains, FINGER_NAMES, strict=False):
-        link, point, radius, source = find_tip(structure, chain)
-        (radius,) = _round([radius])
-        keypoint = TIP_KEYPOINT[label]
-        fingers.append(FingerDescription(label, keypoint, chain.joints, link.name(), _round(point), radius))
-        sources.append(source)
     draft = HandDescription(
         name=name,
         model=str(structure.path),
         base_frame=structure.root,
-        fingers=fingers,
         couplings=[
             CouplingDescription(c.joint, c.follows, round(c.ratio, 6), round(c.offset, 6))
             for c in structure.couplings
         ],
         collide_as_drawn=_links_without_collisions(structure) if hulls else [],
     )
+    for chain, label in zip(structure.chains, FINGER_NAMES, strict=False):
+        link, point, radius = find_tip(structure, chain)
+        tip = (link.name(), _round(point), *_round([radius]))
+        draft.fingers.append(FingerDescription(label, TIP_KEYPOINT[label], chain.joints, *tip))
     draft.default_positions = _default_positions(structure, draft)
-    return draft, sources
+    return draft
 
 
-def _notes_on_tips(fingers: list[FingerDescription], sources: list[str]) -> list[str]:
-    tips: dict[str, list[str]] = {}
-    for finger, source in zip(fingers, sources, strict=True):
-        if not source.startswith("a sphere"):
-            tips.setdefault(source, []).append(f"{finger.name} {1e3 * finger.tip_radius:.1f} mm")
-    return [f"tips and their radii come from {source}: {', '.join(names)}" for source, names in tips.items()]
-
-
-def _notes_on_held_joints(structure: HandStructure) -> list[str]:
-    joints: dict[str, list[str]] = {}
-    for joint, reason in structure.held_joints.items():
-        joints.setdefault(reason, []).append(f"'{joint}'")
-    return [
-        f"joints are held at their default positions, as each {reason}: {listed(names)}"
-        for reason, names in joints.items()
-    ]
-
-
-def _new_frame_name(structure: HandStructure) -> str:
-    """Returns a name for the hand base that the model has not given to another frame."""
-    plant = structure.plant
-    frames = {plant.get_frame(index).name() for index in plant.GetFrameIndices(structure.hand)}
-    return next(name for number in ("", *range(2, 100)) if (name := f"{_BASE_NAME}{number}") not in frames)
+def _notes_on_joints(structure: HandStructure, joint_names: list[str]) -> Iterator[str]:
+    """Yields sentences on joints that are held, by reason, and on joints whose velocity limit is unknown."""
+    held = structure.held_joints
+    for reason in dict.fromkeys(held.values()):
+        names = listed([f"'{name}'" for name in held if held[name] == reason])
+        yield f"joints are held at their default positions, as each {reason}: {names}"
+    for name in joint_names:
+        if not structure.plant.GetJointByName(name, structure.hand).velocity_upper_limit() > 0:
+            yield f"the velocity limit 0 of joint '{name}' counts as unknown: correct it in the model"
 
 
 def _links_without_collisions(structure: HandStructure) -> list[str]:
@@ -173,18 +147,17 @@ def _overlaps(hand: Hand) -> dict[tuple[str, str], float]:
     whose convex hull is larger than the part.
     """
     plant, inspector = hand.plant, hand.scene_graph.model_inspector()
-    paths = {plant.get_body(index): path for index, path in joint_paths(plant, hand.instance).items()}
-    joints = {body.name(): {j.name() for j in path if j.num_positions()} for body, path in paths.items()}
-    hulls = {
-        body.name()
-        for body in paths
-        for geometry in plant.GetCollisionGeometriesForBody(body)
-        if isinstance(inspector.GetShape(geometry), Convex | Mesh)
-    }
+    joints, hulls = {}, set()
+    for index, path in joint_paths(plant, hand.instance).items():
+        link = plant.get_body(index)
+        joints[link.name()] = {joint.name() for joint in path if joint.num_positions()}
+        shapes = map(inspector.GetShape, plant.GetCollisionGeometriesForBody(link))
+        if any(isinstance(shape, Convex | Mesh) for shape in shapes):
+            hulls.add(link.name())
     shares = {}
     for (a, b), share in sorted(contact_fractions(hand).items()):
         near = len(joints[a] ^ joints[b]) <= 2 and not hulls.isdisjoint((a, b))
-        if a != b and share >= (FREQUENT_FRACTION if near else _PERMANENT_FRACTION):
+        if share >= (FREQUENT_FRACTION if near else _PERMANENT_FRACTION):
             shares[a, b] = share
     return shares
 
@@ -203,15 +176,17 @@ def _default_positions(structure: HandStructure, description: HandDescription) -
 
 
 def _free_posture(hand: Hand) -> np.ndarray | None:
-    """Returns (n,) joint positions without self-collision, near the default ones, or None."""
+    """Returns (n,) joint positions without self-collision, as near to the default ones as one is found."""
     start = hand.default_position
-    for opening in _OPENINGS:
-        q = start + opening * (0.5 * (hand.lower + hand.upper) - start)
-        if not hand.collides(q):
-            return q
-    q = hand.sample(_POSTURES)
-    free = q[~hand.collides(q)]
-    return free[np.linalg.norm(free - start, axis=1).argmin()] if len(free) else None
+    if not hand.collides(start):
+        return start
+    samples = hand.sample(_POSTURES)
+    for step in range(_STEPS):
+        q = start + (step + 1) / _STEPS * (samples - start)
+        free = q[~hand.collides(q)]
+        if len(free):
+            return free[0]
+    return None
 
 
 def _depth(hand: Hand) -> float:
@@ -231,11 +206,8 @@ def _actuation(structure: HandStructure, notes: list[str]) -> ActuationDescripti
     without = [f"'{joint}'" for joint in joints if joint not in controlled]
     if not without:
         return ActuationDescription()
-    subject = "the model has"
-    if controlled:
-        subject = f"{len(without)} of {len(joints)} joints, such as {without[0]}, have"
     notes.append(
-        f"{subject} no position controllers; under actuation, replace the default gains "
+        f"joints have no position controllers: {listed(without)}; under actuation, replace the default gains "
         f"{_GAINS.stiffness:g} N·m/rad, {_GAINS.damping:g} N·m·s/rad and {_GAINS.effort_limit:g} N·m with "
         "your hand's"
     )

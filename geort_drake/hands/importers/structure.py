@@ -16,7 +16,6 @@ from geort_drake.hands.description import resolved_couplings
 from geort_drake.hands.model_files import read_couplings
 
 MAX_FINGERS = 5
-_UNLIMITED = "has no position limits, or no range between them"  # why a joint is held
 
 
 @dataclass(frozen=True)
@@ -94,15 +93,12 @@ class HandStructure:
         fingers = [path for path in ends if any(isinstance(joint, RevoluteJoint) for joint in path)]
         leaders = {c.joint: c.follows for c in resolved_couplings(self.couplings)}
         self.held_joints = self._find_held_joints(fingers, leaders)
-        chains = [self._chain(finger, leaders) for finger in fingers]
-        self.chains = [chain for chain in chains if chain is not None]
+        self.chains = [self._chain(finger, leaders) for finger in fingers]
         if not 2 <= len(self.chains) <= MAX_FINGERS:
-            names = {joint.name() for finger in fingers for joint in finger}
-            reasons = [f"'{name}' {why}" for name, why in self.held_joints.items() if name in names]
             raise HandError(
                 f"{len(self.chains)} chains of movable revolute joints start at its palm, the link "
                 f"'{self.palm[0].name()}'; expected one hand of 2 to {MAX_FINGERS} fingers; if another link "
-                f"is the palm, give it as --palm{'; ' * bool(reasons)}{listed(reasons)}"
+                "is the palm, give it as --palm"
             )
 
     def _welded(self, link: RigidBody) -> list[RigidBody]:
@@ -166,25 +162,24 @@ class HandStructure:
             elif not isinstance(joint, RevoluteJoint):
                 reasons[name] = "is not a revolute joint"
             elif not -np.inf < joint.position_lower_limit() < joint.position_upper_limit() < np.inf:
-                reasons[name] = _UNLIMITED
+                reasons[name] = "has no position limits, or no range between them"
         return reasons
 
-    def _chain(self, finger: list[Joint], leaders: dict[str, str]) -> Chain | None:
-        """Returns the chain of a finger; None if it moves only with others.
+    def _chain(self, finger: list[Joint], leaders: dict[str, str]) -> Chain:
+        """Returns the chain of a finger.
 
         Raises:
-            HandError: it cannot move, because its joints have no limits.
+            HandError: none of its joints moves independently.
         """
         names = [joint.name() for joint in finger]
         moving = [name for name in names if leaders.get(name, name) not in self.held_joints]
         independent = [name for name in moving if name not in leaders]
         if not independent:
-            if unlimited := [f"'{name}'" for name in names if self.held_joints.get(name) == _UNLIMITED]:
-                raise HandError(
-                    f"the joints {listed(unlimited)} have no position limits, so their finger could not "
-                    "move; give each limits, or make it a fixed joint"
-                )
-            return None
+            movers = dict.fromkeys(leaders.get(name, name) for name in names)
+            reasons = [f"'{name}' {self.held_joints.get(name, 'moves another finger')}" for name in movers]
+            raise HandError(
+                f"a finger cannot move: {listed(reasons)}; correct its joints, or make them fixed joints"
+            )
         # Links beyond held joints move with the last moving one.
         links = [self._welded(joint.child_body()) for joint in finger]
         bodies = list(itertools.chain(*links[names.index(moving[-1]) :]))
