@@ -107,19 +107,6 @@ def test_every_plan_moves_three_fingertips_around_the_cap():
                 np.testing.assert_allclose(hand.fingertips(q)[goal.touches], wanted, atol=2e-3)
 
 
-def test_shorter_parts_of_a_stroke_are_plans_too():
-    """People turn the cap no farther than their reach, so the longest stroke need not be within it."""
-    goals = [plan.goal for plan in plans("cap")]
-    longest = goals[0]
-    parts = [goal for goal in goals if np.array_equal(goal.p_BC, longest.p_BC)]
-    assert {round(np.rad2deg(goal.stroke)) for goal in parts} == {40, 50, 60, 70}
-    ends = [longest.turned(longest.p_BF_touch, turn) for turn in np.deg2rad(np.arange(0, 71, 10))]
-    for part in parts:
-        for turn in (0.0, part.stroke):
-            end = part.fingertips(turn, 0.0)
-            assert any(np.allclose(end, other, atol=1e-9, equal_nan=True) for other in ends)
-
-
 def after(torque: float) -> tuple[float, float, Outcome]:
     """Turn, rad, and rise, m, of a cap after half a second of a torque, N m, and how it is judged."""
     task, builder = find_task("cap"), DiagramBuilder()

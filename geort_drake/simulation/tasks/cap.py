@@ -125,9 +125,7 @@ class CapPlanner(FingerPlanner):
         self._surface = np.vstack([top, ring + top, ring - top])
 
     def plans(self) -> list[Plan]:
-        """Plans places of the cap and strokes; the longest strokes are the best.
-
-        Shorter parts of a stroke are plans, too, because people turn the cap no farther than their reach.
+        """Plans places of the cap; the longest strokes are the best.
 
         Postures, each at S equal steps of a stroke: `open` (S, n) off the cap, and `held` (S, n), which
         squeeze it.
@@ -135,13 +133,12 @@ class CapPlanner(FingerPlanner):
         places = [np.array([x, self.side * y, z]) for x, y, z in itertools.product(_X, _Y, _Z)]
         plans: list[Plan] = []
         for angle in _APART:
-            plans = plans or [plan for p_BC in places for plan in self._plans(p_BC, angle)]
+            plans = plans or [plan for p_BC in places if (plan := self._plan(p_BC, angle)) is not None]
         stroke = np.rad2deg(_MIN_STROKE)
         aim = f"turn a cap of {2000 * RADIUS:.0f} mm by {stroke:.0f}° with {', '.join(FINGERS)}"
         return self.best_first(plans, aim)
 
-    def _plans(self, p_BC: np.ndarray, angle: float) -> list[Plan]:
-        """Returns the longest stroke of a cap at p_BC (3,), m, and its parts; none if it is too short."""
+    def _plan(self, p_BC: np.ndarray, angle: float) -> Plan | None:
         hand = self.hand
         angles = 0.5 * np.array([-np.pi, np.pi - angle, np.pi + angle])
         around = np.column_stack([np.zeros(3), self.side * np.cos(angles), np.sin(angles)])
@@ -157,21 +154,17 @@ class CapPlanner(FingerPlanner):
         )
         first = self._postures(middle, 0.0, (hand.default_position, hand.default_position))
         if first is None:
-            return []
+            return None
         backward, forward = (self._path(middle, first, sign) for sign in (-1, 1))
         path = [*reversed(backward), first, *forward]
+        stroke = _STEP * (len(path) - 1)
+        if stroke < _MIN_STROKE - 1e-9:
+            return None
+        p_BF_touch = middle.fingertips(-_STEP * len(backward), 0.0)
+        goal = dc.replace(middle, p_BF_touch=p_BF_touch, stroke=stroke)
         q_open, q_held = (np.array(each) for each in zip(*path, strict=True))
-        plans = []
-        for start, end in itertools.combinations(range(len(path)), 2):
-            stroke = _STEP * (end - start)
-            if stroke < _MIN_STROKE - 1e-9:
-                continue
-            p_BF_touch = middle.fingertips(_STEP * (start - len(backward)), 0.0)
-            goal = dc.replace(middle, p_BF_touch=p_BF_touch, stroke=stroke)
-            cost = -round(stroke, 6), self.discomfort(first[1])
-            part = slice(start, end + 1)
-            plans.append(Plan(goal, cost, {"open": q_open[part], "held": q_held[part]}))
-        return plans
+        cost = -round(goal.stroke, 6), self.discomfort(first[1])
+        return Plan(goal, cost, {"open": q_open, "held": q_held})
 
     def _path(self, goal: CapGoal, first: tuple[np.ndarray, np.ndarray], sign: int) -> list[tuple]:
         """Returns postures step by step in one direction, as far as the hand reaches."""
