@@ -215,6 +215,11 @@ def test_a_joint_that_moves_several_fingers_is_held_and_the_thumbs_name_suffices
         ("urdf", {'multiplier="0.8"': 'multiplier="four"'}, "four"),
         ("xml", {"0.8 0 0 0": "0.8 0.3 0 0"}, "by a polynomial"),
         ("urdf", {"revolute": "prismatic"}, "0 chains of movable revolute joints"),
+        (
+            "urdf",
+            {r'("index_j[0-9]".*?)lower="[^"]*" upper="[^"]*"': r'\1lower="0" upper="0"'},
+            "a finger cannot move: 'index_j0' has no position limits, or no range between them, 'index_j1'",
+        ),
         ("urdf", {"</robot>": ""}, "not XML"),
         ("urdf", {"(?s)<link.*</joint>": ""}, "no links"),
         ("urdf", {"</robot>": '<finger xmlns="xacro"/></robot>'}, "expand them first"),

@@ -47,8 +47,8 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     knuckles = np.array([finger.p_knuckle for finger in fingers])
     middle = knuckles[others].mean(axis=0)
     z = unit(np.mean([fingers[number].direction for number in others], axis=0))
-    x = np.sum([fingers[number].bending for number in others], axis=0)
-    if np.linalg.norm(x) < CLOSING_FRACTION * sum(fingers[number].length for number in others):
+    x = np.mean([fingers[number].bending for number in others], axis=0)
+    if np.linalg.norm(x) < CLOSING_FRACTION:
         x = fingers[thumb].p_base - middle
         notes.append("the fingers bend equally to both sides; the palm is assumed to be on the thumb's side")
     x = unit(x - (x @ z) * z)

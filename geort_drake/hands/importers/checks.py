@@ -126,7 +126,7 @@ def _orientation(hand: Hand) -> Iterator[str]:
                 f"{names[number]} (joints {joints}) points {angle:.0f} degrees away from +z of the hand base "
                 "when it is stretched: base_pose or base_frame is wrong, or the joints' limits are"
             )
-        bends = np.linalg.norm(shape.bending) > CLOSING_FRACTION * shape.length
+        bends = np.linalg.norm(shape.bending) > CLOSING_FRACTION
         angle = _angle(shape.bending, 0)
         if bends and angle > _LEANING:
             yield (

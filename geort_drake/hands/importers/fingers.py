@@ -128,7 +128,7 @@ def parts_of(
 
 # Joints bend a finger if their axes are parallel to that of its last joint up to this angle.
 _PARALLEL = np.cos(np.deg2rad(35.0))
-# Fingers bend to one side if mid-range moves their tips to it by this part of their lengths.
+# Fingers bend to one side if mid-range moves their tips across them by this part of their lengths.
 CLOSING_FRACTION = 0.25
 
 
@@ -154,15 +154,10 @@ class FingerShape:
         return unit(self.p_tip - self.p_knuckle)
 
     @property
-    def length(self) -> float:
-        """Distance of the fingertip from the first joint, m."""
-        return float(np.linalg.norm(self.p_tip - self.p_base))
-
-    @property
     def bending(self) -> np.ndarray:
-        """(3,) how far the tip moves across the finger when all joints move to mid-range, m."""
-        moved = self.p_middle - self.p_tip
-        return moved - (moved @ self.direction) * self.direction
+        """(3,) the tip's move across the finger as all joints move to mid-range, per length of the finger."""
+        move = (self.p_middle - self.p_tip) / np.linalg.norm(self.p_tip - self.p_base)
+        return move - (move @ self.direction) * self.direction
 
 
 def finger_shapes(hand: Hand, start: np.ndarray) -> list[FingerShape]:
