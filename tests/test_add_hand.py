@@ -76,6 +76,14 @@ def test_fingers_are_known_by_usual_names(names):
     assert not finger_by_name(["shift_j0"])
 
 
+def test_the_order_of_named_fingers_tells_the_side(tmp_path):
+    """Also without a ring finger, and where the thumb lies on the little finger's side."""
+    changes = {"0.015 0.04 0.03": "0.015 -0.06 0.03", "ring": "little"}
+    description = propose(write_hand(tmp_path, HandSpec(4, mimic=False), changes=changes))[0]
+    assert description.side == "right"
+    assert description.finger_names == ["thumb", "index", "middle", "little"]
+
+
 @pytest.mark.parametrize("kind", ["urdf", "sdf", "xml"])
 def test_kinematics_and_collision_shapes_are_drakes_also_on_followers(kind, tmp_path, rng):
     """Torch and NumPy agree with Drake on fingertips; NumPy's Jacobian is torch's.

@@ -42,6 +42,7 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     """
     fingers = finger_shapes(hand, hand.default_position)
     names = [finger_by_name(chain.names) for chain in structure.chains]
+    all_named = "" not in names and "thumb" in names and len(set(names)) == len(names)
     thumb = names.index("thumb") if names.count("thumb") == 1 else _thumb_by_shape(structure, fingers, notes)
     others = [number for number in range(len(fingers)) if number != thumb]
     knuckles = np.array([finger.p_knuckle for finger in fingers])
@@ -59,12 +60,12 @@ def arrange(structure: HandStructure, hand: Hand, notes: list[str]) -> tuple[lis
     R_RB = R_RP @ _aligned(R_RP.T @ np.column_stack([x, np.cross(z, x), z]), notes)
     to_left = (knuckles - middle) @ R_RB[:, 1]
     thumb_to_left = float((0.5 * (fingers[thumb].p_base + fingers[thumb].p_middle) - middle) @ R_RB[:, 1])
-    if set(names) == set(FINGER_NAMES[: len(names)]) and len(names) > 2:
+    if all_named and len(names) > 2:
         # The order of the knuckles of named fingers tells more than the thumb's place.
         first, *_, last = sorted(others, key=lambda number: FINGER_NAMES.index(names[number]))
         thumb_to_left = to_left[first] - to_left[last]
     side = "left" if thumb_to_left < -_APART else "right"
-    if len(set(names)) < len(names) or "" in names or "thumb" not in names:
+    if not all_named:
         # The index finger is nearest to the thumb's side.
         in_order = sorted(others, key=lambda number: to_left[number] * (1 if side == "left" else -1))
         names = [FINGER_NAMES[0]] * len(fingers)

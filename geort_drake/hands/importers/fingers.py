@@ -57,7 +57,7 @@ def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndar
         link, p_RT, radius = _end_of(parts, p_RJ[-1])
     else:
         lengths = [p_RJ[-1] - p for p in reversed(p_RJ)]
-        along = next((v for v in lengths if np.linalg.norm(v) > 1e-3), np.zeros(3))
+        along = next((v for v in lengths if np.linalg.norm(v) > 1e-3), np.array([0.0, 0.0, 0.02]))
         link, p_RT, radius = chain.bodies[0], p_RJ[-1] + _DEFAULT_LENGTH * along, _DEFAULT_RADIUS
     return link, plant.EvalBodyPoseInWorld(context, link).inverse() @ p_RT, radius
 
@@ -156,7 +156,8 @@ class FingerShape:
     @property
     def bending(self) -> np.ndarray:
         """(3,) the tip's move across the finger as all joints move to mid-range, per length of the finger."""
-        move = (self.p_middle - self.p_tip) / np.linalg.norm(self.p_tip - self.p_base)
+        length = max(float(np.linalg.norm(self.p_tip - self.p_base)), 1e-6)
+        move = (self.p_middle - self.p_tip) / length
         return move - (move @ self.direction) * self.direction
 
 
