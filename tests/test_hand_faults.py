@@ -314,6 +314,19 @@ def test_a_finger_without_limits_is_not_left_out(tmp_path):
         propose(path)
 
 
+def test_fingers_that_one_motor_moves_are_held(tmp_path):
+    """As the ring and little fingers of some hands; the others are described."""
+    changes = {'<mimic joint="little_mcp"': '<mimic joint="ring_mcp"'}
+    model = write_urdf(tmp_path, leader="mcp", changes=changes)
+    joint = '<joint name="little_mcp" type="revolute">'
+    head, _, tail = model.read_text("utf-8").partition(joint)
+    follower = tail.replace("</joint>", '<mimic joint="ring_mcp"/></joint>', 1)
+    model.write_text(head + joint + follower, encoding="utf-8")
+    description, notes = propose(model)
+    assert description.finger_names == ["thumb", "index", "middle"]
+    assert "as each moves 2 fingers at once: 'ring_mcp'" in "\n".join(notes)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

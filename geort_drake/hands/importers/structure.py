@@ -16,6 +16,8 @@ from geort_drake.hands.description import resolved_couplings
 from geort_drake.hands.model_files import read_couplings
 
 MAX_FINGERS = 5
+# Why joints are held.
+_OFF_FINGERS, _NO_RANGE = "belongs to no finger", "has no position limits, or no range between them"
 
 
 @dataclass(frozen=True)
@@ -93,12 +95,14 @@ class HandStructure:
         fingers = [path for path in ends if any(isinstance(joint, RevoluteJoint) for joint in path)]
         leaders = {c.joint: c.follows for c in resolved_couplings(self.couplings)}
         self.held_joints = self._find_held_joints(fingers, leaders)
-        self.chains = [self._chain(finger, leaders) for finger in fingers]
+        chains = [self._chain(finger, leaders) for finger in fingers]
+        self.chains = [chain for chain in chains if chain is not None]
         if not 2 <= len(self.chains) <= MAX_FINGERS:
+            held = [f"'{name}' {why}" for name, why in self.held_joints.items() if why != _OFF_FINGERS]
             raise HandError(
                 f"{len(self.chains)} chains of movable revolute joints start at its palm, the link "
                 f"'{self.palm[0].name()}'; expected one hand of 2 to {MAX_FINGERS} fingers; if another link "
-                "is the palm, give it as --palm"
+                f"is the palm, give it as --palm{'; ' * bool(held)}{listed(held)}"
             )
 
     def _welded(self, link: RigidBody) -> list[RigidBody]:
@@ -156,30 +160,31 @@ class HandStructure:
             if name in leaders:
                 continue
             if not any(name in each for each in names):
-                reasons[name] = "belongs to no finger"
+                reasons[name] = _OFF_FINGERS
             elif moved[name] > 1:
                 reasons[name] = f"moves {moved[name]} fingers at once"
             elif not isinstance(joint, RevoluteJoint):
                 reasons[name] = "is not a revolute joint"
             elif not -np.inf < joint.position_lower_limit() < joint.position_upper_limit() < np.inf:
-                reasons[name] = "has no position limits, or no range between them"
+                reasons[name] = _NO_RANGE
         return reasons
 
-    def _chain(self, finger: list[Joint], leaders: dict[str, str]) -> Chain:
-        """Returns the chain of a finger.
+    def _chain(self, finger: list[Joint], leaders: dict[str, str]) -> Chain | None:
+        """Returns the chain of a finger; None if it moves only with others.
 
         Raises:
-            HandError: none of its joints moves independently.
+            HandError: it cannot move, because its joints have no limits.
         """
         names = [joint.name() for joint in finger]
         moving = [name for name in names if leaders.get(name, name) not in self.held_joints]
         independent = [name for name in moving if name not in leaders]
         if not independent:
-            movers = dict.fromkeys(leaders.get(name, name) for name in names)
-            reasons = [f"'{name}' {self.held_joints.get(name, 'moves another finger')}" for name in movers]
-            raise HandError(
-                f"a finger cannot move: {listed(reasons)}; correct its joints, or make them fixed joints"
-            )
+            faulty = [f"'{name}' {_NO_RANGE}" for name in names if self.held_joints.get(name) == _NO_RANGE]
+            if faulty:
+                raise HandError(
+                    f"a finger cannot move: {listed(faulty)}; correct its joints, or make them fixed joints"
+                )
+            return None
         # Links beyond held joints move with the last moving one.
         links = [self._welded(joint.child_body()) for joint in finger]
         bodies = list(itertools.chain(*links[names.index(moving[-1]) :]))
