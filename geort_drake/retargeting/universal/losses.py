@@ -25,7 +25,7 @@ TOUCH = 2.0
 # Maps hands (G, N, F, 3), m, of G people with shapes (G, 4F), m, to joint angles (G, N, n), rad.
 Network = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 CONSTRAINTS = (
-    "direction", "track", "cross_talk", "size", "open_pinch", "deep_pinch", "false_pinch", "collision",
+    "direction", "track", "size", "open_pinch", "deep_pinch", "false_pinch", "collision",
 )  # fmt: skip
 
 
@@ -33,7 +33,7 @@ CONSTRAINTS = (
 class UniversalSettings:
     """All constants of the training, with their reasons. Lengths are in m unless a field says otherwise.
 
-    The first eight bounds apply to running means over training hands, many of which are harder than recorded
+    The first seven bounds apply to running means over training hands, many of which are harder than recorded
     ones. Bounds that exclude each other are exceeded; then `multiplier_bounds` weighs them.
     """
 
@@ -43,8 +43,9 @@ class UniversalSettings:
     # Bounds of the constraints:
     direction: float = 0.030  # 1 − mean cosine between motions of human and robot fingertips
     track: float = 0.030  # the same for recorded steps, in which all fingers move
-    cross_talk: float = 0.040  # mean motion of the other fingertips over that of the moved one
-    size: float = 0.35  # fraction of motions with a gain outside the band; at a half, its edge is the median
+    size: float = (
+        0.35  # fraction of motions with a smaller gain than `least_gain`; at a half, it is the median
+    )
     open_pinch: float = 0.010  # fraction of pinches in which the robot's fingertips do not touch
     deep_pinch: float = 0.010  # fraction of pinches in which they overlap by most of their diameter
     false_pinch: float = 0.001  # fraction of pairs that touch although the person's are apart
@@ -54,12 +55,11 @@ class UniversalSettings:
     posture_weight: float = 8.0
     posture_first: float = 4.0  # factor on it at first, because fingers keep a wrong posture once formed
     posture_first_share: float = 0.12  # fraction of the steps in which this factor falls to 1
-    # Size and cross-talk:
+    # Size:
     # Quantile of the affine fits of all people, which stands for those who use their range most, because the
     # shape of a hand does not tell how far its owner moves it.
     size_quantile: float = 0.05
-    gain_band: tuple[float, float] = (-0.22, 0.5)  # log of gain over that fit's: 20 % below to 65 % above
-    cross_talk_floor_m: float = 1e-4  # motion that hardly counts, so that gradients stay finite
+    least_gain: float = 0.8  # gain over that fit's
     least_cosine: float = 0.3  # of a motion that a fingertip with one or two joints can follow
     # Pinches, with robot distances in fingertip radii, of which contact takes two:
     pinch_target: float = 0.875  # distance at which pinches aim, so that noise does not open them
@@ -229,15 +229,11 @@ class Criteria:
         moved, after, pinching = seen_tips.split(
             [hands.moved.shape[1], hands.after.shape[1], hands.pinching.shape[1]], dim=1
         )
-        motion = ahead - moved
-        finger_motion = of_finger(motion, hands.finger)
+        finger_motion = of_finger(ahead - moved, hands.finger)
         cosine = cosine_similarity(finger_motion, hands.d, dim=-1, eps=1e-7)
         terms = {
             "direction": _same_figure(_worse_half((1.0 - cosine).mean(1))),
             "track": _same_figure(_worse_half(self._track(hands, after - before))),
-            "cross_talk": _same_figure(
-                _worse_half(_cross_talk(motion, hands.finger, self._settings.cross_talk_floor_m))
-            ),
             "size": self._size_error(finger_motion, cosine, hands),
             **self._pinches(hands, pinching),
             "false_pinch": self._false_pinches(seen, seen_tips),
@@ -256,7 +252,7 @@ class Criteria:
     def _size_error(
         self, finger_motion: torch.Tensor, cosine: torch.Tensor, hands: Hands
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Returns the mean excess of the log gain over its band, and its frequency.
+        """Returns by how much the log gain is too small on average, and how often it is.
 
         A fingertip with fewer than three joints moves on a curve or a surface. Its gain refers to the
         component of d along its motion; motions that it hardly follows do not count.
@@ -272,9 +268,8 @@ class Criteria:
             is_limited = self._few_joints[hands.finger]
             gain = torch.where(is_limited, gain - torch.log(cosine.clamp(min=settings.least_cosine)), gain)
             weight = (~is_limited | (cosine > settings.least_cosine)).float()
-        low, high = settings.gain_band
-        excess = torch.relu(low - gain) + torch.relu(gain - high)
-        return _mean(excess, weight), _mean(excess > 0, weight)
+        shortfall = torch.relu(math.log(settings.least_gain) - gain)
+        return _mean(shortfall, weight), _mean(shortfall > 0, weight)
 
     def _pinches(self, hands: Hands, tips: torch.Tensor) -> dict[str, tuple[torch.Tensor, torch.Tensor]]:
         settings, weight = self._settings, hands.pinched.float()
@@ -365,14 +360,6 @@ class Multipliers:
             rate = settings.collision_rate if name == "collision" else settings.multiplier_rate
             value = self.values[name] * math.exp(rate * violation)
             self.values[name] = min(max(value, least), most)
-
-
-def _cross_talk(motion: torch.Tensor, finger: torch.Tensor, floor: float) -> torch.Tensor:
-    """Returns (G,) the others' mean motion over the moved finger's; `floor`, m, keeps gradients finite."""
-    length = torch.sqrt(motion.square().sum(-1) + floor**2) - floor
-    length_moved = length.gather(2, finger[..., None])[..., 0]
-    others = (length.sum(2) - length_moved) / (motion.shape[2] - 1)
-    return others.mean(1) / (length_moved.mean(1) + floor)
 
 
 def _worse_half(values: torch.Tensor) -> torch.Tensor:
