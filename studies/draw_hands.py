@@ -33,7 +33,7 @@ from geort_drake.errors import HandError
 from geort_drake.files import atomic_path
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.hands.description import HandDescription, JointCouplings
-from geort_drake.hands.importers.fingers import parts_of
+from geort_drake.hands.geometry import parts_of
 from geort_drake.people.keypoints import TIP_KEYPOINT
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.store import shipped_maps

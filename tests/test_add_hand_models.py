@@ -19,9 +19,9 @@ from geort_drake.cli import run_command
 from geort_drake.errors import HandError, OutputError, UnknownNameError
 from geort_drake.hands.assembly import detach_from_world, parse_model
 from geort_drake.hands.collision import HandClearance, collision_shapes
+from geort_drake.hands.geometry import surface_points
 from geort_drake.hands.importers.checks import examine
 from geort_drake.hands.importers.conversion import convert_model, unreadable_meshes
-from geort_drake.hands.importers.fingers import surface_points
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.hands.model_files import read_couplings
 from geort_drake.retargeting.collision import CollisionGaps

@@ -10,8 +10,9 @@ from pydrake.multibody.tree import Joint
 from scipy.optimize import least_squares
 
 from geort_drake.errors import listed
+from geort_drake.hands.geometry import parts_of
 from geort_drake.hands.hand import Hand
-from geort_drake.hands.importers.fingers import CLOSING_FRACTION, finger_shapes, parts_of, unit
+from geort_drake.hands.importers.fingers import CLOSING_FRACTION, finger_shapes, unit
 from geort_drake.hands.kinematics import FingerChain
 
 # Joint ranges outside of these are probably mistakes, rad.

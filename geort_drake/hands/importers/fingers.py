@@ -1,27 +1,14 @@
 """The fingers of a model: their tips, from the geometry of their last links; and how they lie and bend."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from pydrake.geometry import (
-    CalcObb,
-    Capsule,
-    Convex,
-    GeometryId,
-    Mesh,
-    Role,
-    SceneGraph,
-    SceneGraphInspector,
-    Shape,
-    Sphere,
-)
-from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import Frame, RigidBody
+from pydrake.geometry import Capsule, Role, Sphere
+from pydrake.multibody.tree import RigidBody
 from scipy.optimize import minimize
 
+from geort_drake.hands.geometry import Part, parts_of
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.structure import Chain, HandStructure
 from geort_drake.hands.kinematics import FingerChain, HandKinematics
@@ -31,15 +18,6 @@ _END_FRACTION = 0.25
 _RADIUS_RANGE = (0.003, 0.016)
 # Without geometry: the tip's distance, relative to the length of the preceding link, and the radius, m.
 _DEFAULT_LENGTH, _DEFAULT_RADIUS = 0.8, 0.008
-
-
-class Part(NamedTuple):
-    """A geometry G: its link L, its pose in a frame F, its shape, and points (N, 3) in F, m."""
-
-    link: RigidBody
-    X_FG: RigidTransform
-    shape: Shape
-    points: np.ndarray
 
 
 def find_tip(structure: HandStructure, chain: Chain) -> tuple[RigidBody, np.ndarray, float]:
@@ -83,47 +61,12 @@ def _end_of(parts: list[Part], p_RJ: np.ndarray) -> tuple[RigidBody, np.ndarray,
     return link, centre, radius
 
 
-def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.ndarray | None:
-    """Returns points (N, 3) of a geometry in its frame, m: vertices of its hull, or corners of its box.
-
-    Returns None for a mesh that Drake draws without reading it, and for unbounded shapes.
-    """
-    shape = inspector.GetShape(geometry)
-    try:
-        if isinstance(shape, Mesh | Convex):
-            hull = shape.GetConvexHull()
-            return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-        box = CalcObb(shape)
-    except RuntimeError:
-        return None
-    if box is None:
-        return None
-    signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
-    return (box.pose() @ (box.half_width()[:, None] * signs)).T
-
-
 def geometry_of(structure: HandStructure, links: Sequence[RigidBody]) -> list[Part]:
     """Returns the links' collision geometry in the root link R, or else their visual geometry."""
     plant, scene_graph = structure.plant, structure.scene_graph
     roles = (Role.kProximity, Role.kIllustration)
     parts = (parts_of(plant, scene_graph, links, role, plant.world_frame()) for role in roles)
     return next(filter(None, parts), [])
-
-
-def parts_of(
-    plant: MultibodyPlant, scene_graph: SceneGraph, links: Iterable[RigidBody], role: Role, frame: Frame
-) -> list[Part]:
-    """Returns the links' geometries that have a role, expressed in a frame, in the default posture."""
-    inspector, context = scene_graph.model_inspector(), plant.CreateDefaultContext()
-    parts = []
-    for link in links:
-        X_FL = plant.CalcRelativeTransform(context, frame, link.body_frame())
-        for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(link.index()), role):
-            p_GP = surface_points(inspector, geometry)
-            if p_GP is not None:
-                X_FG = X_FL @ inspector.GetPoseInFrame(geometry)
-                parts.append(Part(link, X_FG, inspector.GetShape(geometry), (X_FG @ p_GP.T).T))
-    return parts
 
 
 # Joints bend a finger if their axes are parallel to that of its last joint up to this angle.

@@ -18,10 +18,11 @@ from geort_drake.hands.description import (
     FingerDescription,
     HandDescription,
 )
+from geort_drake.hands.geometry import parts_of
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.arrangement import arrange
 from geort_drake.hands.importers.checks import FREQUENT_FRACTION, contact_fractions
-from geort_drake.hands.importers.fingers import find_tip, parts_of
+from geort_drake.hands.importers.fingers import find_tip
 from geort_drake.hands.importers.structure import HandStructure
 from geort_drake.people.keypoints import FINGER_NAMES, TIP_KEYPOINT
 

@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, DiagramBuilder
 
 from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.description import HandDescription
-from geort_drake.hands.importers.fingers import parts_of
+from geort_drake.hands.geometry import parts_of
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.plan.contacts import Contact
 from geort_drake.simulation.plan.inverse_kinematics import TipKinematics, solve
