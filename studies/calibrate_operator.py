@@ -14,7 +14,6 @@ other maps, with other objects and seeds, in pairs. The same commands resume int
 
 import argparse
 import dataclasses as dc
-import functools
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -29,6 +28,7 @@ from geort_drake.benchmark.analysis import frame_of, holm
 from geort_drake.benchmark.log import Row, TrialKey
 from geort_drake.benchmark.workers import simulate
 from geort_drake.console import run_main
+from geort_drake.settings import parse_settings
 from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.engine import KINDS
 from geort_drake.simulation.trial import Trial
@@ -197,13 +197,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_options(parser)
     arguments = parser.parse_args(argv)
     if arguments.check:
-        parts = (part.partition("=") for part in arguments.check)
-        change = {name: float(value) for name, _, value in parts}
-        make_trials = functools.partial(Variants, changes=[{}, change])
-        run_trials(simulate, check_keys(arguments.seeds), check_report, arguments, make_trials)
+        change = parse_settings(arguments.check, OperatorConfig(), "the person")
+        trials = Variants(arguments.hand, [{}, change])
+        run_trials(simulate, check_keys(arguments.seeds), check_report, arguments, trials)
     else:
-        make_trials = functools.partial(Variants, changes=changes())
-        run_trials(simulate, keys_of(), report, arguments, make_trials)
+        trials = Variants(arguments.hand, changes())
+        run_trials(simulate, keys_of(), report, arguments, trials)
     return 0
 
 

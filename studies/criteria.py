@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import pandas as pd
 from scipy.stats import t as student
-from worsened import add_options, case_of, condition_of, faults_of, run_trials
+from worsened import Trials, add_options, case_of, condition_of, faults_of, run_trials
 
 from geort_drake.benchmark.analysis import frame_of, holm
 from geort_drake.benchmark.log import Row, TrialKey
@@ -166,7 +166,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_options(parser)
     arguments = parser.parse_args(argv)
     keys = keys_of(arguments.tasks, arguments.kinds)
-    run_trials(simulate, keys, report, arguments)
+    run_trials(simulate, keys, report, arguments, Trials(arguments.hand))
     return 0
 
 

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy.stats import permutation_test
-from worsened import add_options, case_of, condition_of, run_trials
+from worsened import Trials, add_options, case_of, condition_of, run_trials
 
 from geort_drake.benchmark.analysis import frame_of, holm
 from geort_drake.benchmark.log import Row, TrialKey, key_of
@@ -178,12 +178,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--all", action="store_true", help="run all faults of all families")
     arguments = parser.parse_args(argv)
     tasks, kinds, seeds = arguments.tasks, arguments.kinds, arguments.seeds
-    keys = scripted_keys(tasks, arguments.scripted_seeds)
+    trials, keys = Trials(arguments.hand), scripted_keys(tasks, arguments.scripted_seeds)
     if arguments.all:
         for task, kind, family in itertools.product(tasks, kinds, FAMILIES):
             keys += keys_of(task, kind, family, SIZES, seeds)
+    else:
+        keys += next_keys([], tasks, kinds, seeds)
     while keys:
-        rows = run_trials(run, keys, report, arguments)
+        rows = run_trials(run, keys, report, arguments, trials)
         keys = next_keys(rows, tasks, kinds, seeds)
     return 0
 

@@ -232,17 +232,14 @@ def run_trials(
     keys: Sequence[TrialKey],
     report: Callable[[Iterable[Row]], str],
     options: argparse.Namespace,
-    make_trials: Callable[[str], Trials] = Trials,
+    trials: Trials,
 ) -> list[Row]:
-    """Runs the trials of which the log has no result, writes and prints the report, and returns all rows.
-
-    `make_trials` makes the trials of keys from the name of a hand.
-    """
+    """Runs the trials of which the log has no result, writes and prints the report, and returns all rows."""
     with TrialLog(options.output) as log, progress_bar() as progress:
         pending = log.unfinished(keys)
         bar = progress.add_task("trials", total=len(pending), note="")
-        trials = make_trials(options.hand).arguments(pending)
-        for row in call_in_workers(run, trials, options.jobs) if pending else ():
+        arguments = trials.arguments(pending)
+        for row in call_in_workers(run, arguments, options.jobs) if pending else ():
             log.append(row)
             progress.update(bar, advance=1)
         rows = read_rows(log.path)

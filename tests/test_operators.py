@@ -19,7 +19,7 @@ from geort_drake.simulation.person.finger_motion import FingerMotion
 from geort_drake.simulation.person.handling import (
     GRASP,
     PLACE,
-    all_feel,
+    has_closed,
     has_retreated,
     is_down,
     is_gathered,
@@ -337,7 +337,7 @@ def test_a_finger_that_comes_no_nearer_is_not_waited_for_once_others_hold_the_ob
     m = moment(world, "close", seen, rng)
     m.memory.movements = world.config.max_corrections
     m.memory.best_time = 0.0 if still else m.t
-    assert all_feel(m) == following
+    assert has_closed(m) == following
 
 
 def test_each_finger_presses_until_it_has_its_part_of_the_grip(rng):

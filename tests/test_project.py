@@ -108,7 +108,7 @@ def test_a_task_speaks_for_people_to_whom_it_reveals_a_fault_of_two_families():
         result = {"success": key.method != "hold", "score": score, "completion_time": 9.0, "outcome": ""}
         return {**key._asdict(), **result, "timeout": 30.0}
 
-    log, keys = {}, gates.scripted_keys(["keys"], 2)
+    log, keys = {}, gates.scripted_keys(["keys"], 2) + gates.next_keys([], ["keys"], ["adaptive", "servo"], 4)
     while keys:
         log |= {key: row_of(key) for key in keys}
         rows = list(log.values())
@@ -182,6 +182,27 @@ def test_twisted_maps_turn_distal_links_without_moving_the_fingertips():
     moved = np.linalg.norm(solver.fingertips(answer[None]) - solver.fingertips(q[None]), axis=-1)
     assert moved.max() < 0.0005
     np.testing.assert_allclose(np.linalg.norm((answer - q).reshape(4, 4), axis=1), 0.4, rtol=0.1)
+
+
+def test_the_calibration_finds_which_number_of_the_person_changes_the_score_and_how_much():
+    calibration = importlib.import_module("calibrate_operator")
+    design = calibration.design()
+    np.testing.assert_array_equal(design.T @ design, 32 * np.eye(16))
+    np.testing.assert_array_equal(design[0::2], -design[1::2])
+    grip = [names[0] for names in calibration.ASSUMED].index("grip_force")
+    rng, rows = np.random.default_rng(0), []
+    for key in calibration.keys_of():
+        score = 0.6 + 0.1 * design[key.person, grip] - 0.2 * (key.task == "cap") + rng.normal(0.0, 0.05)
+        result = {"success": True, "score": score, "completion_time": 9.0, "outcome": ""}
+        rows.append({**key._asdict(), **result, "timeout": 30.0})
+    table = calibration.effects(calibration.frame_of(rows)).set_index("name")
+    name = "grip_force and grip_per_weight"
+    assert table["from"][name] < 0.2 < table["to"][name]
+    assert list(table.index[table["p_holm"] < 0.05]) == [name]
+    assert "**+20 [" in calibration.report(rows)
+    # A check compares pairs on maps, objects and seeds that the calibration has not.
+    fields = [(key.method, key.condition, key.seed) for key in calibration.keys_of()]
+    assert {*fields}.isdisjoint((key.method, key.condition, key.seed) for key in calibration.check_keys(2))
 
 
 def test_the_study_of_criteria_finds_which_faults_cost_score_and_how_much():

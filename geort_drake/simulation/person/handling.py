@@ -345,7 +345,7 @@ def is_gathered(m: Moment) -> str | None:
     return "close"
 
 
-def all_feel(m: Moment) -> str | None:
+def has_closed(m: Moment) -> str | None:
     """all grasping fingers feel the object, or thumb and others do and the rest comes no nearer"""
     feels = m.goal.touches & m.feels
     holds = feels[m.thumb] and np.count_nonzero(feels) > 1
@@ -428,7 +428,7 @@ _GRASP = (
     Phase("reach", shape, is_before, go_before, from_seen=True),
     Phase("approach", shape, is_around, go_around),
     Phase("surround", gather, is_gathered, shift, from_seen=True),
-    Phase("close", close, all_feel, shift, speed=closing_speed, from_seen=True),
+    Phase("close", close, has_closed, shift, speed=closing_speed, from_seen=True),
     Phase("squeeze", press, has_squeezed, rest, press=squeeze),
     Phase("lift", hold, is_lifted, rise, press=regrip),
 )
