@@ -203,7 +203,7 @@ def _collisions(hand: Hand) -> Iterator[str]:
     long = [joint.child_body().name() for joint, length in _links(hand) if length > _SHORT_LINK]
     if without := [link for link in long if link not in tips_without_geometry and not geometries(link)]:
         yield f"links of fingers without collision geometry: {listed(without)}"
-    shares = sorted(contact_fractions(hand).items(), key=lambda item: -item[1])
+    shares = sorted(contact_fractions(hand).items(), key=lambda item: (-item[1], item[0]))
     if often := [f"'{a}' and '{b}' in {share:.0%}" for (a, b), share in shares if share >= FREQUENT_FRACTION]:
         yield (
             f"links touch in many postures, {listed(often)}: correct their shapes, or list the pairs in "

@@ -16,6 +16,8 @@ from geort_drake.hands.description import resolved_couplings
 from geort_drake.hands.model_files import read_couplings
 
 MAX_FINGERS = 5
+# Links from which this many joints start are palms of several hands, unless one carries the other.
+_HAND_CHAINS = 3
 # Why joints are held.
 _OFF_FINGERS, _NO_RANGE = "belongs to no finger", "has no position limits, or no range between them"
 
@@ -114,32 +116,46 @@ class HandStructure:
         """Returns the link of this name, or the one from which, with those welded to it, most joints start.
 
         Raises:
-            HandError: as many joints start from several links.
+            HandError: as many joints start from several links, or the model has several hands.
             UnknownNameError: the model has no link of this name.
         """
-        links = [self.plant.get_body(index) for index in self.plant.GetBodyIndices(self.hand)]
+        links = {link.name(): link for link in map(self.plant.get_body, self.plant.GetBodyIndices(self.hand))}
         if not links:
             raise HandError("the model has no links")
         if name is None:
-            carriers: dict[int, list[str]] = {}
-            for joint in self._joints.values():
-                parent = joint.parent_body()
-                first = min(int(link.index()) for link in self._welded(parent))
-                carriers.setdefault(first, []).append(parent.name())
+            carriers = self._find_carriers()
             most = max(map(len, carriers.values()), default=0)
-            order = [link.name() for link in links]
-            palms = [max(order, key=names.count) for names in carriers.values() if len(names) == most]
-            if most > 1 and len(palms) > 1:
-                choices = ", ".join(f"'{palm}'" for palm in palms)
+            palms = {way: names for way, names in carriers.items() if len(names) >= min(most, _HAND_CHAINS)}
+            is_tie = [len(names) for names in palms.values()].count(most) > 1
+            ways = sorted(palms, key=len)  # from the roots on
+            separate = any(outer[: len(inner)] != inner for inner, outer in itertools.combinations(ways, 2))
+            if most > 1 and (is_tie or separate):
+                choices = ", ".join(f"'{max(links, key=palms[way].count)}'" for way in ways)
                 raise HandError(
-                    f"the palm is not clear: {most} chains of joints start at each of {choices}; give it as "
+                    f"the palm is not clear: several chains of joints start at each of {choices}; give it as "
                     "--palm, or put the hand into a file of its own"
                 )
-            name = palms[0] if palms else order[0]
-        by_name = {link.name(): link for link in links}
-        if name not in by_name:
-            raise UnknownNameError("link of the model", name, by_name)
-        return by_name[name]
+            best = max(palms, key=lambda way: len(palms[way]), default=None)
+            name = next(iter(links)) if best is None else max(links, key=palms[best].count)
+        if name not in links:
+            raise UnknownNameError("link of the model", name, links)
+        return links[name]
+
+    def _find_carriers(self) -> dict[tuple[str, ...], list[str]]:
+        """Maps the way to links that are welded together to the names of those from which joints start.
+
+        The way is the name of the root and of the movable joints from there. A link that carries another is
+        on its way. A name occurs as often as joints start from the link.
+        """
+        paths = joint_paths(self.plant, self.hand)
+        carriers: dict[tuple[str, ...], list[str]] = {}
+        for joint in self._joints.values():
+            link = joint.parent_body()
+            path = paths[link.index()]
+            root = path[0].parent_body() if path else link
+            way = (root.name(), *(inner.name() for inner in path if inner.num_positions()))
+            carriers.setdefault(way, []).append(link.name())
+        return carriers
 
     def _paths_from(self, links: list[RigidBody]) -> list[list[Joint]]:
         """Returns the joints from links that are welded together to each end of the tree beyond them."""

@@ -350,7 +350,7 @@ def has_closed(m: Moment) -> str | None:
     feels = m.goal.touches & m.feels
     holds = feels[m.thumb] and np.count_nonzero(feels) > 1
     # A person without touch takes fingers that have stopped to be touching.
-    is_closed = _at_limit(m) and (holds or not m.config.touch)
+    is_closed = (holds or not m.config.touch) and _at_limit(m)
     return begin_squeeze(m) if is_closed or feels[m.goal.touches].all() else None
 
 
