@@ -351,6 +351,16 @@ def test_each_finger_presses_until_it_has_its_part_of_the_grip(rng):
     assert speed[1] > 0.01 and speed[0] == pytest.approx(speed[1]) and speed[2] == speed[3] == 0
 
 
+def test_a_thumb_that_bears_the_whole_grip_rests_while_the_fingers_press(rng):
+    """What stands fast feels the thumb's force alone, and would be turned by it."""
+    world = StandInWorld(1.0, OperatorConfig())
+    contact = np.array([1.1, 0.1, 0.1, 0.0]) * OperatorConfig().grip_force
+    seen = Percept(world.X_WB.multiply(world.goal.p_BF_open.T).T, world.X_WB, world.X_WO, contact)
+    m = moment(world, "squeeze", seen, rng, pressed=np.zeros((4, 3)), contact=contact)
+    speed = np.linalg.norm(squeeze(m), axis=1)
+    assert speed[0] == speed[3] == 0 and (speed[1:3] > 0.01).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["adaptive", "servo"])
 def test_a_map_with_a_gap_in_the_pinch_cannot_hold_what_is_thinner(kind, monkeypatch):

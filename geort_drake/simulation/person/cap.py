@@ -6,7 +6,7 @@ from geort_drake.simulation.person import handling
 from geort_drake.simulation.person.engine import Moment, Phase, rest
 
 _VISIBLE_TURN = np.deg2rad(1.0)  # smallest turn of the cap that is seen as progress
-_SLIP = 0.5  # the fingers have slipped if the cap has turned by less than this share of their stroke
+_SLIP = 0.5  # the fingers have slipped if they have turned by this share of a stroke more than the cap
 _ACROSS = np.array([0.0, 1.0, 1.0])  # the cap's axis is along x of B
 
 
@@ -74,7 +74,7 @@ def has_squeezed(m: Moment) -> str | None:
     """the grip is firm, or after 0.5 s"""
     if not handling.is_squeezed(m):
         return None
-    m.note(grip=None, began=_turned(m), farthest=-np.inf, progress_at=m.t)
+    m.note(grip=None, began=(_turned(m), m.percept.p_BF), farthest=-np.inf, progress_at=m.t)
     return "turn"
 
 
@@ -83,10 +83,14 @@ def is_turned(m: Moment) -> str | None:
     turned = _turned(m)
     if turned > m.recall("farthest") + _VISIBLE_TURN:
         m.note(farthest=turned, progress_at=m.t)
-    over = m.since > _stroke_time(m) + m.config.visual_delay
-    if not over or m.t - m.recall("progress_at") <= m.config.patience:
+    # Fingers that press on the cap follow the own ones late.
+    over_at = m.memory.phase_start + _stroke_time(m) + m.config.visual_delay
+    if m.t - max(over_at, m.recall("progress_at")) <= m.config.patience:
         return None
-    if turned - m.recall("began") < _SLIP * abs(m.goal.stroke):
+    began, p_BF_began = m.recall("began")
+    # Fingers that have not moved either do not slip, and move no better with a firmer grip.
+    slip = m.goal.mean_turn(p_BF_began, m.percept.p_BF) - (turned - began)
+    if slip > _SLIP * abs(m.goal.stroke):
         handling.grip_firmer(m)
     return "open"
 
@@ -98,8 +102,9 @@ def is_free(m: Moment) -> str | None:
 
 
 def is_back(m: Moment) -> str | None:
-    """the fingers are back"""
-    if m.since <= _stroke_time(m) + m.config.visual_delay + m.config.settle_time:
+    """the fingers are seen back, or come no nearer"""
+    over = m.since > _stroke_time(m) + m.config.visual_delay
+    if not over or not (m.worst_error < m.config.shape_tolerance or m.fingers_at_limit):
         return None
     m.memory.attempt += 1
     return "close"

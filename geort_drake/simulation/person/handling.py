@@ -134,9 +134,9 @@ def _directions_inwards(m: Moment) -> np.ndarray:
 def _pressing(m: Moment, share: float) -> np.ndarray:
     """Returns velocities (F, 3), m/s, with which fingertips close further, and press where the grip is weak.
 
-    Those that feel the object press against each other, each finger until it has its part of the grip: one
-    that pressed harder than the others would push the object out between them. A side that feels it alone
-    rests, because pressing would push the object.
+    Those that feel the object press against each other, each until it has its part of the grip: the thumb
+    bears all of it, and the fingers share it. One that pressed harder than the others would push the object
+    out between them, or turn it. A side that feels it alone rests, because pressing would push the object.
 
     Args:
         share: share of the wanted force below which a finger presses.
@@ -147,10 +147,13 @@ def _pressing(m: Moment, share: float) -> np.ndarray:
     velocity = config.closing_speed * _inwards(m, touches)
     velocity[feels] = 0.0
     if feels[m.thumb] and np.count_nonzero(feels) > 1 and not _is_firm(m, share):
-        others = touches & (np.arange(len(touches)) != m.thumb)
-        part = share * _wanted_grip(m) / np.count_nonzero(others)
-        weak = feels & others & (_felt(m) < part)
-        velocity += config.squeeze_speed * _inwards(m, weak if weak.any() else feels)
+        is_thumb = np.arange(len(touches)) == m.thumb
+        others = touches & ~is_thumb
+        part = share * _wanted_grip(m) / np.where(is_thumb, 1, np.count_nonzero(others))
+        weak = feels & (_felt(m) < part)
+        pressing = weak if weak.any() else feels
+        way = _inwards(m, pressing & others if (pressing & others).any() else feels)
+        velocity[pressing] += config.squeeze_speed * way[pressing]
     velocity *= np.linalg.norm(pressed, axis=1).max() < config.squeeze
     m.note(
         pressed=pressed + config.period * velocity,

@@ -109,6 +109,15 @@ class CapGoal(Goal):
         c, s = np.cos(turn), np.sin(turn)
         return self.p_BC + np.column_stack([x, c * y + s * z, c * z - s * y])
 
+    def mean_turn(self, p_BF: np.ndarray, p_BG: np.ndarray) -> float:
+        """Returns the mean turn of the touching fingertips about the cap, rad, positive in the sense of a stroke.
+
+        Args:
+            p_BF, p_BG: their first and last positions in B, (F, 3) m.
+        """
+        (y, z), (v, w) = ((p - self.p_BC)[self.touches, 1:].T for p in (p_BF, p_BG))
+        return float(np.mean(np.arctan2(z * v - y * w, y * v + z * w)) * np.sign(self.stroke))
+
     def mirrored(self) -> "CapGoal":
         return dc.replace(super().mirrored(), stroke=-self.stroke)
 
