@@ -110,7 +110,7 @@ class CapGoal(Goal):
         return self.p_BC + np.column_stack([x, c * y + s * z, c * z - s * y])
 
     def mean_turn(self, p_BF: np.ndarray, p_BG: np.ndarray) -> float:
-        """Returns the mean turn of the touching fingertips about the cap, rad, positive in the sense of a stroke.
+        """Returns the mean turn of the touching fingertips about the cap, rad, positive along a stroke.
 
         Args:
             p_BF, p_BG: their first and last positions in B, (F, 3) m.
