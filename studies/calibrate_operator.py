@@ -166,7 +166,8 @@ def report(rows: Iterable[Row]) -> str:
     frame = frame[frame["error"].isna()]
     lines = ["| number | smaller | larger | effect | p (Holm) |", "|---|---|---|---|---|"]
     for row in effects(frame).to_dict("records"):
-        effect = f"{100 * row['effect']:+.0f} [{100 * row['from']:+.0f}, {100 * row['to']:+.0f}]"
+        effect, low, high = (round(100 * row[name]) for name in ("effect", "from", "to"))
+        effect = f"{effect:+d} [{low:+d}, {high:+d}]"
         effect = f"**{effect}**" if row["p_holm"] < LEVEL else effect
         name = " and ".join(f"`{each}`" for each in row["name"].split(" and "))
         lines.append(f"| {name} | {row['low']:.3g} | {row['high']:.3g} | {effect} | {row['p_holm']:.2g} |")

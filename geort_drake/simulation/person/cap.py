@@ -52,6 +52,11 @@ def _stroke_time(m: Moment) -> float:
     return max(m.config.min_movement_time, 1.875 * length / m.config.max_fingertip_speed)
 
 
+def _time_to_see(m: Moment) -> float:
+    """Time from the beginning of a stroke until its intended end is seen, s."""
+    return _stroke_time(m) + m.config.visual_delay
+
+
 def _turned(m: Moment) -> float:
     """Returns the seen turn of the cap, rad, positive where it unscrews, as strokes do; not mirrored."""
     return float(m.percept.values["positions"][0])
@@ -84,8 +89,7 @@ def is_turned(m: Moment) -> str | None:
     if turned > m.recall("farthest") + _VISIBLE_TURN:
         m.note(farthest=turned, progress_at=m.t)
     # Fingers that press on the cap follow the own ones late.
-    over_at = m.memory.phase_start + _stroke_time(m) + m.config.visual_delay
-    if m.t - max(over_at, m.recall("progress_at")) <= m.config.patience:
+    if min(m.since - _time_to_see(m), m.t - m.recall("progress_at")) <= m.config.patience:
         return None
     began, p_BF_began = m.recall("began")
     # Fingers that have not moved either do not slip, and move no better with a firmer grip.
@@ -97,14 +101,13 @@ def is_turned(m: Moment) -> str | None:
 
 def is_free(m: Moment) -> str | None:
     """no contact is felt, and the fingers are seen off the cap, or come no further"""
-    off = m.worst_error < m.config.shape_tolerance or m.fingers_at_limit
+    off = m.fingers_have_come(m.config.shape_tolerance)
     return "return" if (off and not m.feels.any()) or m.since > m.config.opening_time else None
 
 
 def is_back(m: Moment) -> str | None:
     """the fingers are seen back, or come no nearer"""
-    over = m.since > _stroke_time(m) + m.config.visual_delay
-    if not over or not (m.worst_error < m.config.shape_tolerance or m.fingers_at_limit):
+    if m.since <= _time_to_see(m) or not m.fingers_have_come(m.config.shape_tolerance):
         return None
     m.memory.attempt += 1
     return "close"

@@ -217,6 +217,10 @@ class Moment:
         """Whether the fingertips' error has not fallen for a while."""
         return self.t - self.memory.best_time > self.config.patience
 
+    def fingers_have_come(self, tolerance: float) -> bool:
+        """Whether the fingertips are within a tolerance, m, of their targets, or come no nearer."""
+        return self.worst_error < self.tolerance(tolerance) or self.fingers_at_limit
+
     @property
     def wrist_rests(self) -> bool:
         """Whether the wrist rests, and its last movement has been seen."""

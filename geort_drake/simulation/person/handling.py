@@ -147,13 +147,13 @@ def _pressing(m: Moment, share: float) -> np.ndarray:
     velocity = config.closing_speed * _inwards(m, touches)
     velocity[feels] = 0.0
     if feels[m.thumb] and np.count_nonzero(feels) > 1 and not _is_firm(m, share):
-        is_thumb = np.arange(len(touches)) == m.thumb
-        others = touches & ~is_thumb
-        part = share * _wanted_grip(m) / np.where(is_thumb, 1, np.count_nonzero(others))
+        others = touches & (np.arange(len(touches)) != m.thumb)
+        part = np.full(len(touches), share * _wanted_grip(m))
+        part[others] /= np.count_nonzero(others)
         weak = feels & (_felt(m) < part)
         pressing = weak if weak.any() else feels
-        way = _inwards(m, pressing & others if (pressing & others).any() else feels)
-        velocity[pressing] += config.squeeze_speed * way[pressing]
+        way = _inwards(m, pressing if (pressing & others).any() else feels)
+        velocity[pressing] = config.squeeze_speed * way[pressing]
     velocity *= np.linalg.norm(pressed, axis=1).max() < config.squeeze
     m.note(
         pressed=pressed + config.period * velocity,
@@ -411,7 +411,7 @@ def is_down(m: Moment) -> str | None:
 
 def is_open(m: Moment) -> str | None:
     """fingers shaped, and no contact is felt"""
-    shaped = m.worst_error < m.tolerance(m.config.shape_tolerance) or m.fingers_at_limit
+    shaped = m.fingers_have_come(m.config.shape_tolerance)
     freed = not m.feels.any() or m.since > m.config.opening_time
     return "retreat" if shaped and freed else None
 
