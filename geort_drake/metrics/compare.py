@@ -158,7 +158,7 @@ NEITHER = (
 # Method → metrics that its training has as a loss or a bound; a comparison by these is not blind.
 TRAINED_ON = {
     "geort": "MP, coverage, flatness, pinches and self-collision",
-    "universal": "MP, track, cross-talk, gain, pinches, posture and self-collision",
+    "universal": "MP, track, gain, pinches, posture and self-collision",
 }
 
 
