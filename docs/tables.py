@@ -301,7 +301,7 @@ def hand_figures_table() -> str:
         "motion", "steps", "gain p95/p5", "closed", "too deep", "false", "collision", "cross-talk",
         "posture", "p90",
     )  # fmt: skip
-    rows = [f"| name | steps of training | {' | '.join(columns)} |", "|---|" + "---|" * (len(columns) + 1)]
+    rows = [f"| name | {' | '.join(columns)} |", "|---|" + "---|" * len(columns)]
     for name in shipped_maps():
         info = load_retargeter(name).info
         if "unseen_people" not in info:
@@ -315,9 +315,7 @@ def hand_figures_table() -> str:
                 texts.append(f"{value:.0f}°")
             else:
                 texts.append(f"{value:.1f}" if column.startswith("gain") else f"{value:.3f}")
-        stages = [info[stage] for stage in ("first_config", "second_config", "config") if stage in info]
-        steps = " + ".join(f"{stage['steps']:,}" for stage in stages)
-        rows.append(f"| `{name}` | {steps} | {' | '.join(texts)} |")
+        rows.append(f"| `{name}` | {' | '.join(texts)} |")
     return "\n".join(rows)
 
 
@@ -344,12 +342,15 @@ def tasks_overview_table() -> str:
     """A Markdown table of successes of trials by method and task, from docs/results/tasks.csv."""
     counts = _trial_counts("task")
     rows = [f"| method | {' | '.join(TASKS)} | all |", f"|---|{'---|' * len(TASKS)}---|"]
-    for method, by_task in sorted(
-        counts.items(), key=lambda item: -sum(done for done, _ in item[1].values())
-    ):
-        cells = [by_task[task] for task in TASKS]
-        cells.append((sum(done for done, _ in cells), sum(number for _, number in cells)))
-        rows.append(f"| `{method}` | {' | '.join(f'{done} of {number}' for done, number in cells)} |")
+    totals = {
+        method: [sum(column) for column in zip(*by_task.values(), strict=True)]
+        for method, by_task in counts.items()
+    }
+    for method in sorted(totals, key=lambda method: -totals[method][0] / totals[method][1]):
+        done, number = totals[method]
+        cells = [f"{k} of {n}" for k, n in (counts[method][task] for task in TASKS)]
+        cells.append(f"{done} of {number}, {100 * done / number:.0f} %")
+        rows.append(f"| `{method}` | {' | '.join(cells)} |")
     return "\n".join(rows)
 
 

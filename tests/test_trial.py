@@ -264,6 +264,6 @@ def test_a_person_who_hardly_moved_in_the_recording_can_do_so_in_a_trial():
 def test_the_people_of_trials_are_in_no_shipped_maps_training(name):
     """A map that had seen them would have an advantage over other methods."""
     info = load_retargeter(name).info
-    stages = [info.get(stage, {}) for stage in ("first_config", "second_config", "config")]
+    stages = [info.get(stage, {}) for stage in ("first_config", "config")]
     seeds = {stage["seed"] for stage in stages if "seed" in stage}
     assert seeds and _POPULATION not in seeds
