@@ -21,6 +21,7 @@ from geort_drake.simulation.person.handling import (
     PLACE,
     has_closed,
     has_retreated,
+    is_before,
     is_down,
     is_gathered,
     let_go,
@@ -90,6 +91,7 @@ class StandInWorld:
         off = p_WF - self.X_WO.translation() - self.goal.p_OF_touch
         depth = (off * self.goal.n_OF).sum(axis=1)
         beside = np.linalg.norm(off - depth[:, None] * self.goal.n_OF, axis=1) > self.radius
+        beside |= np.linalg.norm(off, axis=1) > 0.06  # the hand has not come to the object yet
         contact = np.where(self.goal.touches & ~beside, np.maximum(100.0 * (depth + 1e-4), 0.0), 0.0)
         if lifting and self._p_BO_held is None and contact[self.goal.touches].all():
             self._p_BO_held = (self.X_WB.inverse() @ self.X_WO).translation()
@@ -325,19 +327,67 @@ def test_an_object_that_moves_while_the_hand_surrounds_it_is_grasped_at_once(pus
         ((1.0, 1.0, 1.0, 0.0), False, "squeeze"),
         ((1.0, 1.0, 0.0, 0.0), False, None),  # the middle finger still comes nearer
         ((1.0, 1.0, 0.0, 0.0), True, "squeeze"),
-        ((0.0, 1.0, 1.0, 0.0), True, None),  # nothing is held without the thumb
-        ((1.0, 0.0, 0.0, 0.0), True, None),
+        ((0.0, 1.0, 1.0, 0.0), True, "release"),  # nothing is held without the thumb
+        ((1.0, 0.0, 0.0, 0.0), True, "release"),
+        ((1.0, 0.0, 0.0, 0.0), False, None),
     ],
 )
-def test_a_finger_that_comes_no_nearer_is_not_waited_for_once_others_hold_the_object(
-    contact, still, following, rng
-):
+def test_a_finger_that_comes_no_nearer_is_not_waited_for(contact, still, following, rng):
+    """The person squeezes what others hold, or else begins anew, but not before a finger could have closed."""
     world = StandInWorld(1.0, OperatorConfig())
     seen = Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, np.array(contact))
     m = moment(world, "close", seen, rng)
     m.memory.movements = world.config.max_corrections
     m.memory.best_time = 0.0 if still else m.t
+    m.memory.movement = WristMovement(RigidTransform(), RigidTransform(), 0.0, 0.2)
+    assert has_closed(m) == (following if following == "squeeze" and all(contact[:3]) else None)
+    m.t += 1.0
+    m.memory.best_time += 0.0 if still else 1.0
     assert has_closed(m) == following
+    assert m.memory.attempt == (2 if following == "release" else 1)
+
+
+@pytest.mark.parametrize(
+    ("error", "since", "following"), [(0.02, 1.0, None), (0.02, 5.0, "approach"), (0.011, 1.0, "approach")]
+)
+def test_fingers_that_cannot_be_shaped_go_to_the_object_all_the_same(error, since, following, rng):
+    """The clearance is 12 mm."""
+    world = StandInWorld(1.0, OperatorConfig())
+    X_WB = world.goal.object_frame(world.X_WO) @ world.goal.X_OB_before
+    m = moment(world, "reach", Percept(np.zeros((4, 3)), X_WB, world.X_WO, np.zeros(4)), rng)
+    m.t, m.memory.movement = since, None
+    m.memory.error = np.array([[error, 0.0, 0.0]] * 4)
+    assert is_before(m) == following
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_hand_opens_once_as_it_did_in_play(kind):
+    """The remembered movement leads to the open hand; what is intended then begins there, not at the start."""
+    config = dc.replace(OperatorConfig(), **QUIET)
+    world = StandInWorld(1.0, config)
+    play = FreePlay(own_play(), world.robot_tips(own_play()))
+    world.goal = dc.replace(world.goal, play=play)
+    person = Person(world.hand, world.goal, GRASP, kind, config, None, np.random.default_rng(0))
+    memory = person.start(RigidTransform())
+    farthest = 0.0
+    for step in range(150):
+        memory = person.step(memory, 0.01 * step, world.advance(memory.theta, memory.X_WH, False))
+        off = memory.p_HF_past[-1] - memory.p_HF_open
+        if 0.01 * step > memory.settle_time and memory.phase == 0:
+            farthest = max(farthest, np.linalg.norm(off[:3], axis=1).max())
+    assert farthest < 0.02
+
+
+def test_a_finger_that_has_lost_the_object_is_wanted_there_again(rng):
+    """The errors of fingers that feel the object are NaN, and later ones must not stay so."""
+    config = dc.replace(OperatorConfig(), **QUIET)
+    world = StandInWorld(1.0, config)
+    person = Person(world.hand, world.goal, GRASP, "servo", config, None, rng)
+    memory = dc.replace(person.start(RigidTransform()), phase=3, is_looking=True)
+    for t, felt in ((0.0, 0.0), (0.01, 1.0), (0.02, 0.0)):
+        contact = np.array([felt, 0.0, 0.0, 0.0])
+        memory = person.step(memory, t, Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, contact))
+        assert np.isnan(memory.error[0]).all() == (felt > 0)
 
 
 def test_each_finger_presses_until_it_has_its_part_of_the_grip(rng):

@@ -69,8 +69,7 @@ def has_settled(m: Moment) -> str | None:
 
 def all_feel(m: Moment) -> str | None:
     """all three feel the cap, or have closed for long"""
-    longest = (m.goal.gap + m.config.overshoot) / m.config.closing_speed + m.config.visual_delay
-    if not m.feels[m.goal.touches].all() and m.since <= longest:
+    if not m.feels[m.goal.touches].all() and m.since <= handling.closing_time(m.config, m.goal.gap):
         return None
     return handling.begin_squeeze(m)
 

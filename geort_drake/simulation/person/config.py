@@ -88,6 +88,8 @@ class OperatorConfig:
     # shifts by the midrange of their errors, if that is larger than `shift_tolerance`, m.
     patience: float = 0.5
     shift_tolerance: float = 0.003
+    # After this time, s, fingers at their limit go to the object all the same. An assumption.
+    shaping_time: float = 4.0
     # Least distance of the fingertips from the object's surface before closing, and its tolerance, m. The
     # distance is twice the error of vision if that is more: people open wider the less well they see (Wing,
     # Turton and Fraser 1986; Jakobson and Goodale 1991).

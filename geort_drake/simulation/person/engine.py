@@ -115,9 +115,9 @@ class Memory(Immutable):
     p_HF_past: tuple[np.ndarray, ...]
     sight: np.ndarray  # present errors of vision, see `draw_errors`
     learned: LearnedMotion
-    # (5, 3) own fingertips of the hand at the start, and of the open hand that begins the task, m; and
-    # duration of the movement between the two, s.
-    p_HF_rest: np.ndarray
+    # The movement of the first phase: own fingertips (5, 3) where it starts, those of the open hand, m, and its
+    # duration, s.
+    p_HF_start: np.ndarray
     p_HF_open: np.ndarray
     settle_time: float
     phase: int = 0
@@ -299,21 +299,25 @@ class Person:
                 p_HF_open[follower] += p_HF_open[follower - 1] - p_HF[follower - 1]
             if self._kind.feedforward == "learned":
                 learned = learn_in_play(play, p_HF_open[self._finger_numbers], config, self.rng)
-        # A minimum-jerk movement peaks at 15/8 of its mean speed.
-        farthest = np.linalg.norm(p_HF_open - p_HF, axis=1).max()
         return Memory(
             theta=theta,
             X_WH=X_WH,
             p_HF_past=(p_HF,) * max(round(config.visual_delay / config.period), 1),
             sight=draw_errors(num_fingers, config, self.rng),
             learned=learned,
-            p_HF_rest=p_HF,
+            p_HF_start=p_HF,
             p_HF_open=p_HF_open,
-            settle_time=max(config.min_movement_time, 1.875 * farthest / config.max_fingertip_speed),
+            settle_time=self._settle_time(p_HF, p_HF_open),
             reference=goal.p_BF_open.copy(),
             attended=int(self._touching[0]),
             looked_at=np.zeros(num_fingers),
         )
+
+    def _settle_time(self, p_HF: np.ndarray, p_HF_open: np.ndarray) -> float:
+        """Returns the duration, s, of the movement between own fingertips (5, 3), m."""
+        # A minimum-jerk movement peaks at 15/8 of its mean speed.
+        farthest = np.linalg.norm(p_HF_open - p_HF, axis=1).max()
+        return max(self.config.min_movement_time, 1.875 * farthest / self.config.max_fingertip_speed)
 
     def _first_posture(self) -> np.ndarray:
         """Returns joint angles (20,), rad, of a relaxed hand; or of a straight one, with abducted thumb."""
@@ -336,7 +340,6 @@ class Person:
         m = Moment(t, percept, memory, self._expected(memory), self._goal, config, self._settings)
         if not memory.is_looking:
             memory.is_looking, memory.phase_start, memory.best_time = True, t, t
-            memory.reference = self._begin(m)
         memory.p_BO = average(memory.p_BO, percept.X_BW @ percept.X_WO.translation(), config)
         target = self._look(m)
         following = self.phases[memory.phase].ends(m)
@@ -359,17 +362,17 @@ class Person:
                 memory.best_error, memory.best_time = m.worst_error, m.t
         return target
 
-    def _begin(self, m: Moment) -> np.ndarray:
-        """Returns where the intended motion of a phase begins, (F, 3) m in B."""
-        memory, phase = m.memory, self.phases[m.memory.phase]
-        return m.percept.p_BF + m.expected if phase.from_seen else memory.reference
-
     def _enter(self, m: Moment, name: str) -> None:
         memory = m.memory
         memory.phase, memory.phase_start = self._numbers[name], m.t
+        phase = self.phases[memory.phase]
         memory.best_error, memory.best_time, memory.error = np.inf, m.t, None
         memory.movement, memory.movements = None, 0
-        memory.reference = self._begin(m)
+        if phase.from_seen:
+            memory.reference = m.percept.p_BF + m.expected
+        if memory.phase == 0:
+            memory.p_HF_start = memory.p_HF_past[-1]
+            memory.settle_time = self._settle_time(memory.p_HF_start, memory.p_HF_open)
         noise = self.config.motor_noise / np.sqrt(3)
         memory.motor = np.eye(3) + self.rng.normal(0, noise, (3, 3))
 
@@ -420,7 +423,8 @@ class Person:
         config, memory, phase = self.config, m.memory, self.phases[m.memory.phase]
         if memory.phase == 0 and m.since <= memory.settle_time:
             share = m.move(memory.settle_time) - minimum_jerk((m.since - config.period) / memory.settle_time)
-            self._follow(memory, share * (memory.p_HF_open - memory.p_HF_rest))
+            self._follow(memory, share * (memory.p_HF_open - memory.p_HF_start))
+            memory.reference, memory.best_error, memory.best_time = self._goal.p_BF_open, np.inf, m.t
             return
         step = np.zeros((5, 3))
         if phase.press is not None:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 
+from geort_drake.simulation.person.config import OperatorConfig
 from geort_drake.simulation.person.engine import Moment, Phase, opposition, rest
 from geort_drake.simulation.person.finger_motion import limited
 from geort_drake.simulation.person.goal import yaw_of
@@ -49,7 +50,12 @@ def _around(m: Moment, depth: float) -> np.ndarray:
 
 def gather(m: Moment) -> np.ndarray:
     """gather just off the surface"""
-    return _around(m, -max(m.config.aperture, 2 * m.config.visual_error))
+    return _around(m, -_aperture(m))
+
+
+def _aperture(m: Moment) -> float:
+    """Returns the intended distance of the fingertips from the surface before they close, m."""
+    return max(m.config.aperture, 2 * m.config.visual_error)
 
 
 def close(m: Moment) -> np.ndarray:
@@ -177,7 +183,7 @@ def relax(m: Moment) -> np.ndarray:
 
     A finger that let go much before the others would leave the object to be pushed by them.
     """
-    pressed = m.recall("pressed")
+    pressed = m.recall("pressed", np.zeros_like(m.percept.p_BF))
     velocity = -limited(pressed / m.config.period, m.config.squeeze_speed)
     m.note(pressed=pressed + m.config.period * velocity)
     return velocity
@@ -304,7 +310,9 @@ def _has_slipped(m: Moment) -> bool:
     contact = m.recall("contact")
     if m.config.touch and contact is not None and contact.max() < m.config.touch_force:
         return True
-    return bool(np.linalg.norm(m.memory.p_BO - m.recall("p_BO")) > m.config.lost_distance)
+    # The difference of two views errs by 1.4 times the error of one, and three times that is rare.
+    least = max(m.config.lost_distance, 4 * m.config.visual_error)
+    return bool(np.linalg.norm(m.memory.p_BO - m.recall("p_BO")) > least)
 
 
 def _lost(m: Moment) -> str | None:
@@ -312,16 +320,22 @@ def _lost(m: Moment) -> str | None:
     if not _has_slipped(m):
         return None
     grip_firmer(m)
+    return _try_again(m, "release")
+
+
+def _try_again(m: Moment, phase: str) -> str:
+    """Returns the phase with which a new attempt begins."""
     m.memory.attempt += 1
-    return "release"
+    return phase
 
 
 def is_before(m: Moment) -> str | None:
-    """hand in place, fingers shaped"""
+    """hand in place, fingers shaped, or come no nearer in 4 s"""
     # Fingers at their limit may miss by up to the clearance.
     clearance = m.goal.clearance if m.fingers_at_limit else 0.0
     shaped = m.worst_error < m.tolerance(max(m.config.shape_tolerance, clearance))
-    if not (shaped and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
+    gives_up = m.fingers_at_limit and m.since > m.config.shaping_time
+    if not ((shaped or gives_up) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
     m.note(p_WO=m.percept.X_WO.translation())
     return "approach"
@@ -348,13 +362,27 @@ def is_gathered(m: Moment) -> str | None:
     return "close"
 
 
-def has_closed(m: Moment) -> str | None:
-    """all grasping fingers feel the object, or thumb and others do and the rest comes no nearer"""
+def _holds(m: Moment) -> bool:
+    """Whether thumb and another finger feel the object."""
     feels = m.goal.touches & m.feels
-    holds = feels[m.thumb] and np.count_nonzero(feels) > 1
+    return bool(feels[m.thumb] and np.count_nonzero(feels) > 1)
+
+
+def has_closed(m: Moment) -> str | None:
+    """all grasping fingers feel the object, or the rest comes no nearer; a new attempt unless both sides feel it"""
+    if m.feels[m.goal.touches].all():
+        return begin_squeeze(m)
+    movement = m.memory.movement
+    still = m.since if movement is None else m.t - movement.t_end
+    if not _at_limit(m) or still < closing_time(m.config, _aperture(m)):
+        return None
     # A person without touch takes fingers that have stopped to be touching.
-    is_closed = (holds or not m.config.touch) and _at_limit(m)
-    return begin_squeeze(m) if is_closed or feels[m.goal.touches].all() else None
+    return begin_squeeze(m) if _holds(m) or not m.config.touch else _try_again(m, "release")
+
+
+def closing_time(config: OperatorConfig, gap: float) -> float:
+    """Returns the time, s, in which fingers cross a gap, m, and press on what they feel."""
+    return (gap + config.overshoot) / config.closing_speed + config.visual_delay
 
 
 def begin_squeeze(m: Moment) -> str:
@@ -423,12 +451,11 @@ def has_retreated(m: Moment) -> str | None:
     turned = motion.rotation().ToAngleAxis().angle() > 2 * m.turn_tolerance
     if not ((off or turned) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
         return None
-    m.memory.attempt += 1
-    return "reach"
+    return _try_again(m, "reach")
 
 
 _GRASP = (
-    Phase("reach", shape, is_before, go_before, from_seen=True),
+    Phase("reach", shape, is_before, go_before),
     Phase("approach", shape, is_around, go_around),
     Phase("surround", gather, is_gathered, shift, from_seen=True),
     Phase("close", close, has_closed, shift, speed=closing_speed, from_seen=True),

@@ -103,8 +103,10 @@ def perceive(scene: Percept, errors: np.ndarray, config: OperatorConfig, rng: np
 def average(average: np.ndarray | None, value: np.ndarray, config: OperatorConfig) -> np.ndarray:
     """Returns the low-passed value over about `judging_time`; single samples are noisier than the tolerances.
 
-    `before` is the average one period ago; None at the first sample.
+    The average of one period ago is None at the first sample, and NaN where there was no value. There, and
+    where it is NaN now, the result is the value.
     """
     if average is None:
         return value
-    return average + config.period / (config.period + config.judging_time) * (value - average)
+    change = config.period / (config.period + config.judging_time) * (value - average)
+    return np.where(np.isnan(average), value, average + change)
