@@ -333,7 +333,7 @@ def test_an_object_that_moves_while_the_hand_surrounds_it_is_grasped_at_once(pus
     ],
 )
 def test_a_finger_that_comes_no_nearer_is_not_waited_for(contact, still, following, rng):
-    """The person squeezes what others hold, or else begins anew, but not before a finger could have closed."""
+    """The person squeezes what others hold, or tries again, but not before a finger could have closed."""
     world = StandInWorld(1.0, OperatorConfig())
     seen = Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, np.array(contact))
     m = moment(world, "close", seen, rng)
@@ -362,7 +362,7 @@ def test_fingers_that_cannot_be_shaped_go_to_the_object_all_the_same(error, sinc
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_hand_opens_once_as_it_did_in_play(kind):
-    """The remembered movement leads to the open hand; what is intended then begins there, not at the start."""
+    """The remembered movement leads to the open hand, and what is intended then begins there."""
     config = dc.replace(OperatorConfig(), **QUIET)
     world = StandInWorld(1.0, config)
     play = FreePlay(own_play(), world.robot_tips(own_play()))

@@ -115,8 +115,8 @@ class Memory(Immutable):
     p_HF_past: tuple[np.ndarray, ...]
     sight: np.ndarray  # present errors of vision, see `draw_errors`
     learned: LearnedMotion
-    # The movement of the first phase: own fingertips (5, 3) where it starts, those of the open hand, m, and its
-    # duration, s.
+    # The movement of the first phase: own fingertips (5, 3) where it starts, those of the open hand, m, and
+    # its duration, s.
     p_HF_start: np.ndarray
     p_HF_open: np.ndarray
     settle_time: float
