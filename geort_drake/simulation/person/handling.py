@@ -369,7 +369,7 @@ def _holds(m: Moment) -> bool:
 
 
 def has_closed(m: Moment) -> str | None:
-    """all grasping fingers feel the object, or the rest comes no nearer; if one side feels it, a new attempt"""
+    """all fingers feel the object, or both sides do and the rest comes no nearer; or else a new attempt"""
     if m.feels[m.goal.touches].all():
         return begin_squeeze(m)
     movement = m.memory.movement
