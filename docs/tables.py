@@ -391,24 +391,30 @@ def small_objects_table() -> str:
     return "\n".join(rows)
 
 
-def people_table() -> str:
-    """A Markdown table of successes of other people, by method and task, from docs/results/people.csv."""
-    with open(ROOT / "docs" / "results" / "people.csv", encoding="utf-8", newline="") as file:
+def cases_table(name: str, *columns: str) -> str:
+    """A Markdown table of successes by these columns and task, from a CSV file of docs/results.
+
+    A file that has a column `person` also gets the successes of each person.
+    """
+    with open(ROOT / "docs" / "results" / f"{name}.csv", encoding="utf-8", newline="") as file:
         trials = list(csv.DictReader(file))
-    people = sorted({row["person"] for row in trials})
-    rows = [
-        f"| method | fitted to | {' | '.join(TASKS)} | all | by person |",
-        f"|---|---|{'---|' * len(TASKS)}---|---|",
-    ]
-    for method, fitted in dict.fromkeys((row["method"], row["fitted_to"]) for row in trials):
-        own = [row for row in trials if (row["method"], row["fitted_to"]) == (method, fitted)]
+    people = sorted({row["person"] for row in trials if "person" in row})
+    header = [*(column.replace("_", " ") for column in columns), *TASKS, "all", *["by person"][: len(people)]]
+    rows = [header, ["---"] * len(header)]
+    for values in dict.fromkeys(tuple(row[column] for column in columns) for row in trials):
+        own = [row for row in trials if tuple(row[column] for column in columns) == values]
         groups = [[row for row in own if row["task"] == task] for task in TASKS]
-        done = [sum(row["success"] == "1" for row in group) for group in [*groups, own]]
-        cells = [f"{k} of {len(group)}" for k, group in zip(done, [*groups, own], strict=True)]
-        by_person = [[row for row in own if row["person"] == person] for person in people]
-        persons = [str(sum(row["success"] == "1" for row in group)) if group else "–" for group in by_person]
-        rows.append(f"| `{method}` | {fitted} | {' | '.join(cells)} | {', '.join(persons)} |")
-    return "\n".join(rows)
+        cells = [f"{_successes(group)} of {len(group)}" for group in [*groups, own]]
+        if people:
+            by_person = [[row for row in own if row["person"] == person] for person in people]
+            cells.append(", ".join(str(_successes(group)) for group in by_person))
+        names = [f"`{v}`" if column == "method" else v for column, v in zip(columns, values, strict=True)]
+        rows.append([*names, *cells])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _successes(trials: list[dict[str, str]]) -> int:
+    return sum(row["success"] == "1" for row in trials)
 
 
 def criteria_table() -> str:

@@ -88,7 +88,8 @@ class OperatorConfig:
     # shifts by the midrange of their errors, if that is larger than `shift_tolerance`, m.
     patience: float = 0.5
     shift_tolerance: float = 0.003
-    # After this time, s, fingers at their limit go to the object all the same. An assumption.
+    # If the fingers are at their limit this long, s, after a phase began, the hand goes to the object all the
+    # same. An assumption, made after the study of the others.
     shaping_time: float = 4.0
     # Least distance of the fingertips from the object's surface before closing, and its tolerance, m. The
     # distance is twice the error of vision if that is more: people open wider the less well they see (Wing,
@@ -122,7 +123,8 @@ class OperatorConfig:
     # Pause after the squeeze, s, and height of the lift, m.
     settle_time: float = 0.2
     lift_height: float = 0.15
-    # The object counts as lost after it has moved this far in the hand, m.
+    # The object counts as lost after it has moved this far in the hand, m, or by four times the error of
+    # vision if that is more.
     lost_distance: float = 0.04
     # Duration of a press or a release, s: 10 mm to within 3 mm are 2.7 bits of 0.1 s each [F54].
     press_time: float = 0.27

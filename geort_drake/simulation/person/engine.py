@@ -424,7 +424,9 @@ class Person:
         if memory.phase == 0 and m.since <= memory.settle_time:
             share = m.move(memory.settle_time) - minimum_jerk((m.since - config.period) / memory.settle_time)
             self._follow(memory, share * (memory.p_HF_open - memory.p_HF_start))
+            # Until the movement ends, no error counts, and what is intended then begins at the open hand.
             memory.reference, memory.best_error, memory.best_time = self._goal.p_BF_open, np.inf, m.t
+            memory.finger_velocity = np.zeros((5, 3))
             return
         step = np.zeros((5, 3))
         if phase.press is not None:

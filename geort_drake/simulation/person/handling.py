@@ -16,6 +16,8 @@ from geort_drake.systems.port_values import rotation_of_vector
 _UNBALANCED = 0.5
 # Distance ahead of a fingertip that leaves a surface, m.
 _LEAVING_DISTANCE = 0.02
+# A task that is done is over this long after the object is let go, s.
+_TIME_TO_END = 1.0
 
 
 # -- where the fingertips go
@@ -64,14 +66,14 @@ def close(m: Moment) -> np.ndarray:
 
 
 def closing_speed(m: Moment) -> np.ndarray:
-    """Returns limits (F,), m/s: leading fingers wait for the slowest."""
+    """Returns limits (F,), m/s: leading fingers wait for the slowest, as long as it comes nearer."""
     config, error = m.config, m.memory.error
     assert error is not None  # set at the start of every decision
     distance = np.nan_to_num(np.linalg.norm(error - m.expected, axis=1))
     pending = m.goal.touches & ~m.feels
     slowest = distance[pending].max() if pending.any() else 0.0
     share = np.clip(1 - (slowest - distance - config.closing_lead) / config.closing_lead, 0, 1)
-    return config.closing_speed * share
+    return config.closing_speed * (1.0 if m.fingers_at_limit else share) * np.ones_like(distance)
 
 
 def press(m: Moment) -> None:
@@ -183,7 +185,7 @@ def relax(m: Moment) -> np.ndarray:
 
     A finger that let go much before the others would leave the object to be pushed by them.
     """
-    pressed = m.recall("pressed", np.zeros_like(m.percept.p_BF))
+    pressed = m.recall("pressed")
     velocity = -limited(pressed / m.config.period, m.config.squeeze_speed)
     m.note(pressed=pressed + m.config.period * velocity)
     return velocity
@@ -215,6 +217,11 @@ def _at_object(m: Moment) -> RigidTransform:
 def go_before(m: Moment) -> RigidTransform | None:
     """goes to 80 to 170 mm before the grasp"""
     return _go(m, _before(m), m.tolerance(m.config.reach_tolerance))
+
+
+def leave(m: Moment) -> RigidTransform | None:
+    """rests while fingers feel the object, and then goes to 80 to 170 mm before the grasp"""
+    return None if m.feels.any() and m.since < m.config.opening_time else go_before(m)
 
 
 def go_around(m: Moment) -> RigidTransform | None:
@@ -310,7 +317,7 @@ def _has_slipped(m: Moment) -> bool:
     contact = m.recall("contact")
     if m.config.touch and contact is not None and contact.max() < m.config.touch_force:
         return True
-    # The difference of two views errs by 1.4 times the error of one, and three times that is rare.
+    # Two views differ by 1.4 times the error of one; about three times this is rare.
     least = max(m.config.lost_distance, 4 * m.config.visual_error)
     return bool(np.linalg.norm(m.memory.p_BO - m.recall("p_BO")) > least)
 
@@ -330,7 +337,7 @@ def _try_again(m: Moment, phase: str) -> str:
 
 
 def is_before(m: Moment) -> str | None:
-    """hand in place, fingers shaped, or come no nearer in 4 s"""
+    """hand in place; fingers shaped, or at their limit after 4 s"""
     # Fingers at their limit may miss by up to the clearance.
     clearance = m.goal.clearance if m.fingers_at_limit else 0.0
     shaped = m.worst_error < m.tolerance(max(m.config.shape_tolerance, clearance))
@@ -358,34 +365,34 @@ def is_gathered(m: Moment) -> str | None:
     shaped = m.wrist_rests and _is_shaped(m, m.config.aperture_tolerance)
     if not (shaped or _is_pushed(m)):
         return None
-    m.note(closing=True)
+    m.note(closing=True, pressed=np.zeros_like(m.percept.p_BF))
     return "close"
 
 
-def _holds(m: Moment) -> bool:
-    """Whether thumb and another finger feel the object."""
-    feels = m.goal.touches & m.feels
-    return bool(feels[m.thumb] and np.count_nonzero(feels) > 1)
-
-
 def has_closed(m: Moment) -> str | None:
-    """all fingers feel the object, or both sides do and the rest comes no nearer; or else a new attempt"""
-    if m.feels[m.goal.touches].all():
+    """all grasping fingers feel the object, or both sides do and others come no nearer; else a new attempt"""
+    feels, config = m.goal.touches & m.feels, m.config
+    if feels[m.goal.touches].all():
         return begin_squeeze(m)
+    if feels[m.thumb] and np.count_nonzero(feels) > 1:
+        m.note(held_at=m.t)
     movement = m.memory.movement
-    still = m.since if movement is None else m.t - movement.t_end
-    if not _at_limit(m) or still < closing_time(m.config, _aperture(m)):
+    since = max(m.memory.best_time, m.memory.phase_start if movement is None else movement.t_end)
+    if not _at_limit(m) or m.t - since < closing_time(config, _aperture(m)):
         return None
-    # A person without touch takes fingers that have stopped to be touching.
-    return begin_squeeze(m) if _holds(m) or not m.config.touch else _try_again(m, "release")
+    # A contact that is not felt for a moment may come back. A person without touch takes fingers that have
+    # stopped to be touching.
+    holds = m.t - m.recall("held_at", -np.inf) < config.judging_time or not config.touch
+    return begin_squeeze(m) if holds else _try_again(m, "release")
 
 
 def closing_time(config: OperatorConfig, gap: float) -> float:
-    """Returns the time, s, in which fingers cross a gap, m, and press on what they feel."""
+    """Returns the time, s, in which fingers cross a gap, m, come as deep as intended, and are seen there."""
     return (gap + config.overshoot) / config.closing_speed + config.visual_delay
 
 
 def begin_squeeze(m: Moment) -> str:
+    """Returns the phase that squeezes, and forgets what was pressed and felt before."""
     m.note(pressed=np.zeros_like(m.percept.p_BF), contact=None)
     return "squeeze"
 
@@ -399,7 +406,7 @@ def has_squeezed(m: Moment) -> str | None:
     """the grip is firm, or after 0.5 s"""
     if not is_squeezed(m):
         return None
-    m.note(p_BO=m.memory.p_BO)
+    m.note(p_BO=m.memory.p_BO, lowered=0)
     return "lift"
 
 
@@ -431,10 +438,10 @@ def is_down(m: Moment) -> str | None:
     if not (m.wrist_rests or rise > 3 * m.config.visual_error):
         return None
     # An object that is still above its place stands on something else, and is held where it has slid to.
-    if _to_place(m).translation()[2] > -m.config.reach_tolerance:
-        return "open"
-    m.note(p_BO=m.memory.p_BO)
-    return "carry"
+    lowered = m.recall("lowered") + 1
+    m.note(p_BO=m.memory.p_BO, lowered=lowered)
+    stands_above = _to_place(m).translation()[2] < -m.config.reach_tolerance
+    return "carry" if stands_above and lowered <= m.config.max_corrections else "open"
 
 
 def is_open(m: Moment) -> str | None:
@@ -445,13 +452,9 @@ def is_open(m: Moment) -> str | None:
 
 
 def has_retreated(m: Moment) -> str | None:
-    """the object is seen off its place, or turned there"""
-    motion = _to_place(m)
-    off = np.linalg.norm(motion.translation()) > 2 * m.config.reach_tolerance
-    turned = motion.rotation().ToAngleAxis().angle() > 2 * m.turn_tolerance
-    if not ((off or turned) and m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))):
-        return None
-    return _try_again(m, "reach")
+    """hand in place, and the task is not over"""
+    arrived = m.has_arrived(_before(m), m.tolerance(m.config.reach_tolerance))
+    return _try_again(m, "reach") if arrived and m.since > _TIME_TO_END else None
 
 
 _GRASP = (
@@ -462,7 +465,7 @@ _GRASP = (
     Phase("squeeze", press, has_squeezed, rest, press=squeeze),
     Phase("lift", hold, is_lifted, rise, press=regrip),
 )
-_RELEASE = Phase("release", shape, is_before, go_before, speed="opening_speed", error=outwards, press=relax)
+_RELEASE = Phase("release", let_go, is_before, leave, speed=letting_go_speed, error=outwards, press=relax)
 GRASP = (*_GRASP, Phase("hold", hold, is_lost, rest, press=regrip), _RELEASE)
 PLACE = (
     *_GRASP[:-1],

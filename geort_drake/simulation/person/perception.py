@@ -103,8 +103,8 @@ def perceive(scene: Percept, errors: np.ndarray, config: OperatorConfig, rng: np
 def average(average: np.ndarray | None, value: np.ndarray, config: OperatorConfig) -> np.ndarray:
     """Returns the low-passed value over about `judging_time`; single samples are noisier than the tolerances.
 
-    The average of one period ago is None at the first sample, and NaN where there was no value. There, and
-    where it is NaN now, the result is the value.
+    `average` is that of one period ago: None at first, and NaN where there was no value. There, the value is
+    returned.
     """
     if average is None:
         return value
