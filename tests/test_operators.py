@@ -25,8 +25,10 @@ from geort_drake.simulation.person.handling import (
     is_before,
     is_down,
     is_gathered,
+    is_lifted,
     let_go,
     letting_go_speed,
+    rise,
     squeeze,
 )
 from geort_drake.simulation.person.perception import FreePlay, Percept
@@ -268,6 +270,24 @@ def test_a_hand_stops_lowering_what_stays_behind_it(slid, below, lowered, follow
     before = (seen.X_BW @ X_WO).translation() - seen.X_BW.rotation().matrix() @ [0, 0, slid]
     m = moment(world, "lower", seen, rng, p_BO_carried=before, lowered=lowered)
     assert is_down(m) == following
+
+
+@pytest.mark.parametrize(
+    ("risen", "movements", "rises"), [(0.15, 1, False), (0.13, 1, False), (0.1, 1, True), (0.1, 4, False)]
+)
+def test_a_hand_that_stayed_too_low_rises_again(risen, movements, rises, rng):
+    """As after a gap of the tracker in which the robot's hand stood; up to four times."""
+    world = StandInWorld(1.0, OperatorConfig())
+    seen = Percept(np.zeros((4, 3)), world.X_WB, world.X_WO, np.ones(4))
+    m = moment(world, "lift", seen, rng, contact=np.ones(4))
+    m.memory.movement = None
+    intended = rise(m)
+    np.testing.assert_allclose((intended.translation() - world.X_WB.translation())[2], 0.15)
+    X_WB = RigidTransform([0, 0, risen]) @ world.X_WB
+    m.percept = dc.replace(seen, X_WB=X_WB)
+    m.memory.movement, m.memory.movements = WristMovement(X_WB, X_WB, 0.0, 0.5), movements
+    assert is_lifted(m) == (None if rises else "hold")
+    assert (rise(m) is intended) == rises
 
 
 def test_a_hand_lowers_what_it_holds_slowly(rng):

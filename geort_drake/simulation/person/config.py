@@ -120,9 +120,11 @@ class OperatorConfig:
     # Fingers that let go move off a surface at most at this speed, m/s, for at most this time, s.
     opening_speed: float = 0.1
     opening_time: float = 2.0
-    # Pause after the squeeze, s, and height of the lift, m.
+    # Pause after the squeeze, s, and height of the lift, m. A hand that is seen lower by more than the
+    # tolerance, m, rises once more: about five times the error of vision, an assumption.
     settle_time: float = 0.2
     lift_height: float = 0.15
+    lift_tolerance: float = 0.03
     # The object counts as lost after it has moved this far in the hand, m, or by four times the error of
     # vision if that is more.
     lost_distance: float = 0.04

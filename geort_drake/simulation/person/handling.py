@@ -259,10 +259,18 @@ def shift(m: Moment) -> RigidTransform | None:
 
 
 def rise(m: Moment) -> RigidTransform | None:
-    """rises"""
-    if m.memory.movement is not None:
+    """rises, and again if it is seen too low"""
+    if m.memory.movement is None:
+        m.note(X_WB_lifted=RigidTransform([0, 0, m.config.lift_height]) @ m.percept.X_WB)
+    elif not _is_too_low(m):
         return None
-    return RigidTransform([0, 0, m.config.lift_height]) @ m.percept.X_WB
+    return m.recall("X_WB_lifted")
+
+
+def _is_too_low(m: Moment) -> bool:
+    """Whether the hand is seen lower than it was to rise, and may rise once more."""
+    short = (m.recall("X_WB_lifted").translation() - m.percept.X_WB.translation())[2]
+    return bool(short > m.config.lift_tolerance) and m.memory.movements < m.config.max_corrections
 
 
 def _to_place(m: Moment) -> RigidTransform:
@@ -411,8 +419,8 @@ def has_squeezed(m: Moment) -> str | None:
 
 
 def is_lifted(m: Moment) -> str | None:
-    """wrist at rest, or object lost"""
-    lifted = m.wrist_rests and m.memory.movement is not None
+    """hand at rest, high enough, or object lost"""
+    lifted = m.wrist_rests and m.memory.movement is not None and not _is_too_low(m)
     return _lost(m) or ("hold" if lifted else None)
 
 
