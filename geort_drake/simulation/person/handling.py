@@ -419,7 +419,7 @@ def has_squeezed(m: Moment) -> str | None:
 
 
 def is_lifted(m: Moment) -> str | None:
-    """hand at rest, high enough, or object lost"""
+    """hand at rest and high enough, or object lost"""
     lifted = m.wrist_rests and m.memory.movement is not None and not _is_too_low(m)
     return _lost(m) or ("hold" if lifted else None)
 
