@@ -239,15 +239,15 @@ class PagePerson:
         """What the person is doing."""
         return self._person.phases[self._state.phase].name if self._state else "waiting"
 
-    def hand(self, frames: list[bytes], engaged: bool) -> list[list[float]]:
-        """The joints of a headset after these frames; at rest until the person is engaged."""
+    def hand(self, frames: list[bytes], following: bool) -> list[list[float]]:
+        """The joints of a headset after these frames; at rest while the page says that the robot waits."""
         for frame in frames:
             values = np.frombuffer(frame, "<f4").astype(float)
             poses = values[1 : 1 + 7 * self._bodies].reshape(-1, 7)
             X_WB = vector_to_pose(poses[self._base]) @ self._X_LB
             if self._state is None:
                 self._state = self._person.start(RigidTransform(X_WB.rotation(), np.zeros(3)))
-            if engaged:
+            if following:
                 tips = [vector_to_pose(poses[body]) @ np.array(point) for body, point in self._tips]
                 X_WO = vector_to_pose(poses[self._object])
                 seen = Percept(np.array(tips), X_WB, X_WO, self._touching(np.array(tips), X_WO))

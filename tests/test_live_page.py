@@ -237,17 +237,17 @@ def test_a_person_who_sees_only_the_page_grasps_the_cylinder(headset, tmp_path):
             """One look at the page, and one movement."""
             if frames:
                 new, frames[:] = frames[:], []
-                joints = person.hand(new, texts["state"]["engaged"])
+                joints = person.hand(new, texts["state"]["following"])
                 page.evaluate("hands => play(hands)", {"right": joints})
             return texts["state"]["outcome"]["over"]
 
         page.keyboard.press(" ")
         until(page, judged, 5)
         outcome = texts["state"]["outcome"]
+        assert outcome["success"] and outcome["phase"] == "done", person.phase
         until(page, lambda: "Done" in page.inner_text("#task"))
         program.send_signal(signal.SIGINT)
         report = json.loads(program.communicate(timeout=PATIENCE_S)[0])
-    assert outcome["success"] and outcome["phase"] == "done", person.phase
     assert report["glove"]["refused"] == 0
 
 
