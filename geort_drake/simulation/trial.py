@@ -238,6 +238,7 @@ def run_trial(
         metadata = {
             "side": parts.description.side,
             "source": "simulated trial",
+            "task": result.task,
             "object": result.object,
             "seed": scenario.random_seed,
             "outcome": result.outcome,
