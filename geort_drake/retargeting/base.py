@@ -36,9 +36,9 @@ class Retargeter(ABC):
         human_keypoints: (F,) numbers of the keypoints that are the fingertips.
         lower, upper: (n,) joint limits, rad; outputs are always inside.
         robot_hands: names of the robot hands for which the map was made.
-        trained_points: (F, M, 3) thinned positions of each fingertip in training, m, from
-            `clouds.trained_points`; None if they are unknown.
-        info: method, config, provenance, metrics and history of a trained map, in JSON types.
+        trained_points: (F, M, 3) thinned positions of each fingertip in the recording of the training, m,
+            from `clouds.trained_points`; None if there was no such recording.
+        info: method, config, provenance and figures of a trained map, in JSON types.
         arrays: the weights of a trained map.
     """
 

@@ -6,7 +6,7 @@ A map is one safetensors file. Its header has an entry "geort_drake" with a JSON
     kind             of the weights: "mlp" or "universal"
     robot_hands      names of the robot hands for which the map was made
     finger_names, joint_names, human_keypoints, lower, upper   as in `Retargeter`
-    info             method, config, provenance, metrics, history
+    info             method, config, provenance, figures
 """
 
 import functools

@@ -14,7 +14,6 @@ from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.people.checks import good_frames, require_wrist_frame_hand
 from geort_drake.people.keypoints import BASE_KEYPOINT, FINGER_KEYPOINTS, KEYPOINT_COUNT, TIP_KEYPOINT
 from geort_drake.retargeting.base import Retargeter, require_arrays
-from geort_drake.retargeting.clouds import trained_points
 from geort_drake.retargeting.mlp import FINGERS, RESIDUAL, MlpRetargeter
 from geort_drake.retargeting.numpy_kinematics import match_joints
 
@@ -103,17 +102,13 @@ class UniversalRetargeter(Retargeter):
     def for_person(self, p_HK: np.ndarray) -> MlpRetargeter:
         """Returns the map of the person in keypoints p_HK (21, 3) or (T, 21, 3), m; it never changes.
 
-        `MEASURED_FRAMES` frames are enough; bad ones are left out, see `checks.good_frames`. The map's
-        `trained_points` are the fingertips' positions in the others.
+        `MEASURED_FRAMES` frames are enough; bad ones are left out, see `checks.good_frames`.
 
         Raises:
             ValueError: points have another shape.
             RecordingError, MismatchError: see `require_wrist_frame_hand`.
         """
-        p_HK = self._good_hands(p_HK)
-        retargeter = self._folded(hand_shape(p_HK, self.finger_names))
-        retargeter.trained_points = trained_points(p_HK[:, self.human_keypoints])
-        return retargeter
+        return self._folded(self.shape(p_HK))
 
     def shape(self, p_HK: np.ndarray) -> np.ndarray:
         """Computes the shape (4F,), m, of the hand in keypoints p_HK (21, 3) or (T, 21, 3), m.
