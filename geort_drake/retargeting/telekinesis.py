@@ -26,7 +26,7 @@ LENGTH_UNIT = 0.1  # m; unit of the vectors in the loss
 class TelekinesisConfig:
     """Settings of `telekinesis`."""
 
-    steps: int = 5000
+    steps: int = 5000  # gradient steps
     learning_rate: float = 5e-3  # of Adam; falls to zero along half a cosine
     hidden: int = 128  # width of both hidden layers of each finger's network
     points: int = 256  # human fingertips per finger and step

@@ -41,7 +41,7 @@ def training_config(method: str, settings: Mapping | None = None) -> Any:
 
     Raises:
         UnknownNameError: there is no such method or setting; the message lists the known ones.
-        TrainingError: the method is not trained, or a number is negative or not finite.
+        TrainingError: the method is not trained, a number is negative or not finite, or a count is 0.
     """
     entry = find_method(method)
     if not entry.is_trained:

@@ -31,7 +31,7 @@ from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.scene_view import SceneView
 
 PERIOD = 0.01  # s between two observations
-# Scenario of tasks for the fingers of a parked hand; its timeout, s, is longer than they take.
+# Scenario of tasks for the fingers of a parked hand; its timeout, s, is enough with a good map.
 PARKED_HAND = """
 kind: adaptive
 timeout: 60.0

@@ -54,8 +54,9 @@ class RetargetingSystem(PythonSystem):
     """Maps keypoints to joint targets at a fixed period; the output respects the limits for any input.
 
     An update has three stages. The gate decides whether the keypoints can be followed. The map is one fixed
-    function of the keypoints; that of a universal retargeter is for the person who is measured in the first
-    `MEASURED_FRAMES` good frames, and holds when it sees another person's bone lengths. The limiter moves
+    function of the keypoints, unless the method itself has a memory; that of a universal retargeter is for
+    the person who is measured in the first `MEASURED_FRAMES` good frames, and holds when it sees another
+    person's bone lengths. The limiter moves
     towards the map's joint positions within the limits. While the input cannot be followed, it brakes and
     holds the joints; afterwards they follow again at a growing speed limit.
 

@@ -31,21 +31,21 @@ CONSTRAINTS = (
 
 @dataclass(frozen=True)
 class UniversalSettings:
-    """All constants of the training, with their reasons. Lengths are in m unless a field says otherwise.
+    """The constants of the training, with their reasons. Lengths are in m unless a field says otherwise.
+
+    `refined` changes some for the second stage.
 
     The first seven bounds apply to running means over training hands, many of which are harder than recorded
     ones. Bounds that exclude each other are exceeded; then `multiplier_bounds` weighs them.
     """
 
-    steps: int = 10_000  # gradient steps, which take nine minutes on one core
+    steps: int = 10_000  # gradient steps, which take seven to nine minutes on one core
     people: int = 400  # hands of the population, so many that the shapes between them are interpolated
     play_s: float = 40.0  # length of each person's play, s, in which most people make all their movements
     # Bounds of the constraints:
     direction: float = 0.030  # 1 − mean cosine between motions of human and robot fingertips
     track: float = 0.030  # the same for recorded steps, in which all fingers move
-    size: float = (
-        0.35  # fraction of motions with a smaller gain than `least_gain`; at a half, it is the median
-    )
+    size: float = 0.35  # fraction of motions whose gain is below `least_gain`; a half would be the median
     open_pinch: float = 0.010  # fraction of pinches in which the robot's fingertips do not touch
     deep_pinch: float = 0.010  # fraction of pinches in which they overlap by most of their diameter
     false_pinch: float = 0.001  # fraction of pairs that touch although the person's are apart
@@ -109,7 +109,7 @@ class UniversalSettings:
     shared_weight_decay: float = 0.03  # of parts that see combinations, which would fit the training's people
     momentum: tuple[float, float] = (0.95, 0.99)  # high, because gradients differ between people
     clip: float = 2.0  # largest norm of a gradient
-    averaged_steps: int = 90  # time constant of the average of the weights
+    averages: int = 90  # the time constant of the average of the weights is `steps` divided by this
     average_every: int = 5  # steps from one average to the next, in which weights hardly move
     multiplier_start: float = 1.0  # of every constraint
     multiplier_rate: float = 0.006  # change of its logarithm per step at twice the bound
@@ -125,8 +125,9 @@ class UniversalSettings:
     def refined(self) -> "UniversalSettings":
         """Returns the settings of a second, shorter training, which continues from the first.
 
-        The first leaves three times as many collisions as their bound allows. The second searches them more
-        often, weighs them more, and starts with large multipliers, so that no criterion is lost meanwhile.
+        The first leaves three times as many collisions as their bound allows. The second draws them more
+        often and in larger numbers, weighs them more, and starts with large multipliers, so that no criterion
+        is lost meanwhile. Posture and size weigh less, for what the collisions need.
         """
         return dataclasses.replace(
             self,

@@ -249,7 +249,7 @@ class Training:
         self.multipliers = Multipliers({name: getattr(settings, name) for name in CONSTRAINTS}, settings)
         groups = self.network.groups(settings.weight_decay, settings.shared_weight_decay)
         self._optimiser = Soap(groups, lr=settings.learning_rate, betas=settings.momentum, clip=settings.clip)
-        decay = max(1.0 - settings.averaged_steps / settings.steps, 0.0)
+        decay = max(1.0 - settings.averages / settings.steps, 0.0)
         self._average = AveragedModel(
             self.network, multi_avg_fn=get_ema_multi_avg_fn(decay**settings.average_every)
         )

@@ -99,7 +99,7 @@ def is_turned(m: Moment) -> str | None:
 
 
 def is_free(m: Moment) -> str | None:
-    """no contact is felt, and the fingers are seen off the cap, or come no further"""
+    """no contact is felt, and the fingers are seen off the cap, or come no further; or after 2 s"""
     off = m.fingers_have_come(m.config.shape_tolerance)
     return "return" if (off and not m.feels.any()) or m.since > m.config.opening_time else None
 

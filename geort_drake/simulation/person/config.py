@@ -8,6 +8,8 @@ from geort_drake.settings import require_numbers
 # Parameters by which code divides, so zero is refused.
 _DIVISORS = (
     "period",
+    "max_fingertip_speed",
+    "closing_speed",
     "peak_wrist_speed",
     "peak_wrist_turn",
     "lowering_speed",
@@ -16,6 +18,7 @@ _DIVISORS = (
     "squeeze_speed",
     "opening_speed",
     "press_time",
+    "attention_time",
 )
 
 
@@ -121,7 +124,8 @@ class OperatorConfig:
     opening_speed: float = 0.1
     opening_time: float = 2.0
     # Pause after the squeeze, s, and height of the lift, m. A hand that is seen lower by more than the
-    # tolerance, m, rises once more: about five times the error of vision, an assumption.
+    # tolerance, m, rises again: about five times the error of vision, an assumption, made after the study of
+    # the others.
     settle_time: float = 0.2
     lift_height: float = 0.15
     lift_tolerance: float = 0.03
@@ -150,7 +154,8 @@ class OperatorConfig:
     # `most_push`, m. Assumptions.
     push_speed: float = 0.02
     most_push: float = 0.02
-    # A finger that is seen to press without a cue is raised by this, m. An assumption.
+    # A finger without a cue that is seen to press, or feels its key, is raised by this, m, in every
+    # `attention_time`, up to three times as far. An assumption.
     lift: float = 0.004
     # An object is carried to within `place_tolerance`, m, of the point above its place, and lowered to
     # `place_overshoot`, m, below the seen place, to be set down. Both are about the error of vision [B02].

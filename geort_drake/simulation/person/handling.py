@@ -220,7 +220,7 @@ def go_before(m: Moment) -> RigidTransform | None:
 
 
 def leave(m: Moment) -> RigidTransform | None:
-    """rests while fingers feel the object, and then goes to 80 to 170 mm before the grasp"""
+    """rests while fingers feel the object, up to 2 s, and goes to 80 to 170 mm before the grasp"""
     return None if m.feels.any() and m.since < m.config.opening_time else go_before(m)
 
 
@@ -419,7 +419,7 @@ def has_squeezed(m: Moment) -> str | None:
 
 
 def is_lifted(m: Moment) -> str | None:
-    """hand at rest and high enough, or object lost"""
+    """hand at rest, and high enough or after four movements; or object lost"""
     lifted = m.wrist_rests and m.memory.movement is not None and not _is_too_low(m)
     return _lost(m) or ("hold" if lifted else None)
 
@@ -453,7 +453,7 @@ def is_down(m: Moment) -> str | None:
 
 
 def is_open(m: Moment) -> str | None:
-    """fingers shaped, and no contact is felt"""
+    """fingers shaped or at their limit, and no contact is felt or 2 s have passed"""
     shaped = m.fingers_have_come(m.config.shape_tolerance)
     freed = not m.feels.any() or m.since > m.config.opening_time
     return "retreat" if shaped and freed else None
