@@ -404,7 +404,7 @@ def cases_table(name: str, *columns: str) -> str:
     for values in dict.fromkeys(tuple(row[column] for column in columns) for row in trials):
         own = [row for row in trials if tuple(row[column] for column in columns) == values]
         groups = [[row for row in own if row["task"] == task] for task in TASKS]
-        cells = [f"{_successes(group)} of {len(group)}" for group in [*groups, own]]
+        cells = [f"{_successes(group)} of {len(group)}" if group else "–" for group in [*groups, own]]
         if people:
             by_person = [[row for row in own if row["person"] == person] for person in people]
             cells.append(", ".join(str(_successes(group)) for group in by_person))

@@ -10,6 +10,7 @@ from geort_drake.errors import BenchmarkError, MethodError, UnknownNameError
 from geort_drake.hands.hand import Hand
 from geort_drake.own_method import OwnMethod
 from geort_drake.people.recording import Recording
+from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.retargeting import DEFAULT_METHOD, METHODS, train
 from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.store import SUFFIX, fit, load_retargeter, shipped_maps
@@ -75,10 +76,17 @@ def resolve(
             of play for a method that needs them.
         seed: seed of the training, or of an untrained method's random samples.
         device: "cpu" or "cuda", for the training.
+
+    Raises:
+        MethodError: a Python file has no usable method, see `OwnMethod.check`.
     """
     path = Path(method)
     if path.suffix == PYTHON_SUFFIX:
-        return OwnMethod(path.resolve(), hand), path
+        own = OwnMethod(path.resolve(), hand)
+        play = synthesize_play(seed=0, duration_s=1.0) if recording is None else recording
+        own.check(play.p_HK[play.valid][0].astype(float))
+        own.reset()
+        return own, path
     if method not in METHODS:
         return load_retargeter(path, hand), path
     if method == "universal":

@@ -107,7 +107,6 @@ def names_of_a_diagram() -> dict:
         "valid_port": replay.GetOutputPort("valid"),
         "thumb_bodies": [plant.GetBodyByName("link_15")],
         "index_bodies": [plant.GetBodyByName("link_3")],
-        **{name: getattr(rerun, name) for name in dir(rerun) if name.endswith("Spec")},
         "add_rerun_recorder": rerun.add_rerun_recorder,
     }  # fmt: skip
 

@@ -11,7 +11,7 @@ import yaml
 
 from geort_drake import Hand, load_hand, load_retargeter
 from geort_drake.cli import run_command
-from geort_drake.errors import HandError
+from geort_drake.errors import GeortError, HandError
 from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.resources import hand_names, models_dir
@@ -145,3 +145,11 @@ def test_a_training_has_two_stages_and_makes_the_map_of_the_mirror_image(tmp_pat
     assert {path.name for path in tmp_path.iterdir()} == {"leap_right.safetensors", "leap_left.safetensors"}
     retarget = load_retargeter(tmp_path / "leap_left.safetensors", Hand("leap_left"))
     assert retarget.info["config"]["steps"] == 1 and retarget.info["first_config"]["steps"] == 4
+
+
+@pytest.mark.parametrize("hand", ["my_hand.yaml", "allegro"])
+def test_a_training_for_a_missing_hand_ends_at_once(hand, tmp_path, monkeypatch):
+    """Before minutes are spent on synthetic people."""
+    monkeypatch.setattr("geort_drake.people.synthetic.population.sample_population", pytest.fail)
+    with pytest.raises(GeortError, match=hand):
+        run_command("train", ["--universal", "--hand", hand, "--output", str(tmp_path / "map.safetensors")])

@@ -14,7 +14,7 @@ from geort_drake import load_scenario
 from geort_drake.benchmark.log import TrialKey
 from geort_drake.benchmark.workers import simulate
 from geort_drake.errors import MethodError
-from geort_drake.methods import measure_latency, names_of
+from geort_drake.methods import measure_latency, names_of, resolve
 from geort_drake.own_method import OwnMethod
 from geort_drake.simulation.trial import Trial
 
@@ -87,7 +87,7 @@ def test_a_file_without_a_method_is_refused(tmp_path, play, text):
     fault = r"(raised (Mod|Syn)|the file must define|make\(hand\) must return a function; it returned None)"
     (tmp_path / "mine.py").write_text(text)
     with pytest.raises(MethodError, match=rf"mine\.py: {fault}"):
-        OwnMethod(tmp_path / "mine.py", allegro()).check(play.p_HK[0])
+        resolve(str(tmp_path / "mine.py"), allegro(), play)
     with pytest.raises(MethodError, match=r"other\.py: no such file"):
         names_of([str(tmp_path / "other.py")], allegro())
 

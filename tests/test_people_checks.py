@@ -42,7 +42,7 @@ RHD = "wrist, then each finger from tip to base (RHD)"
 REFUSED = {
     "millimetres": (
         lambda h: dc.replace(h, p_HK=1e3 * h.p_HK, p_WH=1e3 * h.p_WH),
-        r"60 to 110 mm, but is 8\d\.\d+ m; .* in mm: convert it with --unit mm",
+        r"60 to 110 mm, but is 8\d\.\d+ m; .* in mm: geort-drake recording convert FILE --unit mm",
     ),
     "mirrored axes": (keypoints(lambda p: p * [-1, 1, 1]), "bend backwards .* left hand or a right one"),
     "another order": (keypoints(lambda p: p[:, ORDERS[RHD]]), r"tip to base \(RHD\)"),

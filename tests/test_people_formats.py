@@ -93,7 +93,7 @@ def test_a_stated_unit_is_converted(tmp_path, unit):
     hand, scale = moving(), {"cm": 100.0, "mm": 1000.0}[unit]
     scaled = type(hand)(scale * hand.p_HK, hand.t, hand.R_WH, scale * hand.p_WH)
     path = gloves.write_manus_csv(tmp_path, scaled, delimiter=";")
-    with pytest.raises(RecordingError, match=f"60 to 110 mm.*convert it with --unit {unit}"):
+    with pytest.raises(RecordingError, match=f"60 to 110 mm.*convert FILE --unit {unit}"):
         read_recording(path)
     np.testing.assert_allclose(read_recording(path, unit=unit).p_HK, hand.p_HK, atol=1e-6)
     with pytest.raises(RecordingError, match="own files are in metres, not in mm"):

@@ -55,6 +55,9 @@ def test_a_map_for_another_hand_is_refused_and_for_another_version_causes_a_warn
     other = SimpleNamespace(**facts | {"joint_names": ["a", "b"]})
     with pytest.raises(MapError, match=r"another hand \(allegro_right\).*joint_12.*expected a, b"):
         load_retargeter(path, other)
+    namesake = SimpleNamespace(**facts, description=SimpleNamespace(name="allegro_left"))
+    with pytest.raises(MapError, match="is for allegro_right, not for the robot hand allegro_left"):
+        load_retargeter(path, namesake)
     with pytest.warns(RuntimeWarning, match="another version of the hand's model"):
         load_retargeter(path, SimpleNamespace(**facts | {"digest": "def"}))
 

@@ -34,8 +34,8 @@ class Export(Command):
     """folder that `geort-drake grasp` wrote, or a recording of a hand"""
     output: Annotated[Path, arg(metavar="PATH")]
     """folder to write; with rrd, a file"""
-    format: Literal["parquet", "lerobot", "rrd"] = "parquet"
-    """format to write"""
+    format: Literal["parquet", "lerobot", "rrd"] | None = None
+    """format to write (default: rrd if PATH ends so, else parquet)"""
     fps: Annotated[int | None, arg(metavar="HZ"), COUNT] = None
     """frames per second, for lerobot and rrd (default: the recording's; rrd: 30)"""
     side: Side = "right"
@@ -50,11 +50,12 @@ class Export(Command):
         from geort_drake.export.lerobot import write_lerobot
         from geort_drake.export.parquet import write_parquet
 
-        if self.format == "parquet" and self.fps:
+        kind = self.format or ("rrd" if self.output.suffix == ".rrd" else "parquet")
+        if kind == "parquet" and self.fps:
             raise UsageError("--fps: Parquet keeps every sample; use it with lerobot and rrd")
         is_run = (self.input / RESULTS).is_file()
         names = [self.input.stem]
-        if self.format == "rrd":
+        if kind == "rrd":
             require_output_file(self.output, ".rrd")
             if is_run:
                 where = f"{self.input}/*.rrd"
@@ -67,14 +68,14 @@ class Export(Command):
                 episodes = read_episodes(self.input)
             else:
                 episodes = iter([episode_of(read_recording(self.input, self.side), self.input.stem)])
-            if self.format == "lerobot":
+            if kind == "lerobot":
                 done = write_lerobot(episodes, self.output, self.fps)
             else:
                 done = write_parquet(episodes, self.output)
             names = list(track("exporting", done, None))
-        write_json(self.json, {"format": self.format, "output": str(self.output), "episodes": names})
+        write_json(self.json, {"format": kind, "output": str(self.output), "episodes": names})
         results = {"Exported": f"{self.output} (episodes: {len(names)})"}
-        if self.format == "parquet":
+        if kind == "parquet":
             results["Read it"] = f'pyarrow.dataset.dataset("{self.output / "frames"}").to_table()'
-        finish(results, None if self.format == "parquet" else view(self.output))
+        finish(results, None if kind == "parquet" else view(self.output))
         return 0

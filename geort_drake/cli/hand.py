@@ -85,7 +85,7 @@ class AddHand(Command):
         if faults:
             following = command("hand", "add", path)
         else:
-            following = command("train", hand=path, output=Path(f"{path.stem}.safetensors"))
+            following = command("train", "--universal", hand=path, output=Path(f"{path.stem}.safetensors"))
         finish({"Description": path}, view(self.rrd), following)
         return 0
 
@@ -128,13 +128,13 @@ class ListHands(Command):
 
     def run(self) -> int:
         from geort_drake import load_hand
-        from geort_drake.console import print_table
+        from geort_drake.console import print_table, say
         from geort_drake.errors import HandError
         from geort_drake.hands.model_search import find_model
         from geort_drake.resources import hand_names
         from geort_drake.retargeting.store import shipped_maps
 
-        maps, rows = shipped_maps(), []
+        maps, rows, missing = shipped_maps(), [], {}
         for name in hand_names():
             hand = load_hand(name)
             try:
@@ -142,10 +142,14 @@ class ListHands(Command):
                 model = "at hand"
             except HandError:
                 model = f"missing: {hand.source.get}" if hand.source.get else "missing"
+                if hand.source.get:
+                    missing.setdefault(hand.source.get, []).append(name)
             has_map = "yes" if name in maps else "no"
             rows.append((name, hand.side, ", ".join(hand.finger_names), has_map, model))
         columns = ("hand", "side", "fingers", "map", "model")
-        print_table(columns, rows, text=columns[1:])
+        print_table(columns, [(*row[:-1], row[-1].partition(":")[0]) for row in rows], text=columns[1:])
+        for get, names in missing.items():  # outside of the table, where a line can be copied
+            say(f"model of {', '.join(names)}: {get}")
         write_json(self.json, [dict(zip(("name", *columns[1:]), row, strict=True)) for row in rows])
         finish({}, command("hand", "add", "my_hand.urdf"))
         return 0

@@ -86,7 +86,7 @@ class Grasp(Command, ScenarioOptions):
         from geort_drake import Hand, __version__
         from geort_drake.console import say
         from geort_drake.export.episode import RESULTS
-        from geort_drake.methods import default_method, names_of, resolve
+        from geort_drake.methods import PYTHON_SUFFIX, default_method, names_of, resolve
         from geort_drake.retargeting.train import training_recording
         from geort_drake.simulation.trial import Trial, TrialBuilder
 
@@ -100,11 +100,16 @@ class Grasp(Command, ScenarioOptions):
         side = self.side or hand.description.side
         recording = training_recording(self.recording, side) if self.recording else None
 
-        # Plans before training, because planning shows whether the robot can grasp the objects at all.
+        # Plans before training, because planning shows whether the robot can grasp the objects at all; but a
+        # user's own method is examined at once.
+        is_own = Path(method).suffix == PYTHON_SUFFIX
+        if is_own:
+            retarget, path = resolve(method, hand, recording)
         builder = TrialBuilder(hand, recording)
         if replay is None:
             scenarios = _feasible(builder, scenarios)
-        retarget, path = resolve(method, hand, recording, self.seed, self.device)
+        if not is_own:
+            retarget, path = resolve(method, hand, recording, self.seed, self.device)
         person = str(self.recording or "an average adult")
         say(f"Person:     {person}")
         say(f"Retargeter: {_origin(method, retarget, path)}")
@@ -142,7 +147,7 @@ class Grasp(Command, ScenarioOptions):
 
         results: list[TrialResult] = []
         with locked(self.output), progress_bar() as display:
-            update = display.counter("grasping")
+            update = display.counter("simulating")
             for done, trial in enumerate(trials):
                 scenario = trial.scenario
                 stem = f"{find_task(scenario.task).case_of(scenario)}-{scenario.random_seed}"
@@ -176,13 +181,16 @@ class Grasp(Command, ScenarioOptions):
 
         grasps = all(result.task == "grasp" for result in results)
         rows = [_row(result) for result in results]
-        print_table(
-            ("object", "seed", "outcome", "held from", "attempts", "height", "force", "speed"),
-            rows,
-            title="Grasps" if grasps else "Trials",
-            caption="held from: start of the successful hold; height, force: largest; speed: times real time",
-            text=("outcome",),
-        )
+        if grasps:
+            columns = ("object", "seed", "outcome", "held from", "attempts", "height", "force", "speed")
+            caption = (
+                "held from: start of the successful hold; height, force: largest; speed: times real time"
+            )
+        else:
+            columns = ("case", "seed", "outcome", "done after", "attempts", "score", "force", "speed")
+            caption = "force: largest; speed: times real time"
+        title = "Grasps" if grasps else "Trials"
+        print_table(columns, rows, title=title, caption=caption, text=("outcome",))
         successes = sum(result.success for result in results)
         say(f"{successes} of {len(results)} {'held' if grasps else 'succeeded'}")
         for result in results:
@@ -294,15 +302,17 @@ def try_out(retargeter: Path, hand: str, recording: Path | None = None) -> str:
 
 
 def _feasible(builder: "TrialBuilder", scenarios: "Sequence[Scenario]") -> "list[Scenario]":
-    """Returns the scenarios for which there are plans; leaves out, with a warning, those of other objects.
+    """Returns the scenarios for which there are plans; leaves out, with a warning, those of other cases.
 
     Raises:
-        ScenarioError: the hand can grasp none of the objects.
+        ScenarioError: the hand can do none of the cases.
     """
     from geort_drake.console import track, warn
+    from geort_drake.simulation.tasks import find_task
 
-    first = {scenario.object.name: scenario for scenario in reversed(scenarios)}
-    names = list(dict.fromkeys(scenario.object.name for scenario in scenarios))
+    cases = [find_task(scenario.task).case_of(scenario) for scenario in scenarios]
+    names = list(dict.fromkeys(cases))
+    first = dict(zip(reversed(cases), reversed(scenarios), strict=True))
     errors = {}
     for name in track("planning", names, len(names)):
         try:
@@ -313,7 +323,7 @@ def _feasible(builder: "TrialBuilder", scenarios: "Sequence[Scenario]") -> "list
         raise errors[names[0]]
     for reason in errors.values():
         warn(f"left out: {reason}")
-    return [scenario for scenario in scenarios if scenario.object.name not in errors]
+    return [scenario for case, scenario in zip(cases, scenarios, strict=True) if case not in errors]
 
 
 def _origin(method: str, retarget: Any, path: Path | None) -> str:
@@ -368,7 +378,7 @@ def _row(result: Any) -> tuple[str, ...]:
         f"[{'green' if result.success else 'red'}]{result.outcome}[/]",
         "–" if result.completion_time is None else f"{result.completion_time:.1f} s",
         "–" if result.attempts is None else str(result.attempts),
-        f"{100 * result.metrics['peak_height']:.0f} cm" if "peak_height" in result.metrics else "–",
+        f"{100 * result.metrics['peak_height']:.0f} cm" if result.task == "grasp" else f"{result.score:.2f}",
         f"{result.peak_force:.0f} N",
         f"{result.simulated_time / result.wall_time:.1f} ×",
     )

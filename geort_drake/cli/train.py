@@ -115,8 +115,8 @@ class Train(Command):
         return 0
 
     def _train_universal(self) -> int:
-        from geort_drake import load_retargeter
-        from geort_drake.console import print_table
+        from geort_drake import Hand, load_retargeter
+        from geort_drake.console import console, print_table
         from geort_drake.errors import GeortError
         from geort_drake.people.synthetic.population import sample_population
         from geort_drake.retargeting.universal.losses import UniversalSettings
@@ -128,11 +128,13 @@ class Train(Command):
         changes = parse_settings(list(self.set), UniversalSettings(), "the universal map")
         settings = dataclasses.replace(UniversalSettings(), **changes)
         settings.validate()
-        start = None if self.start is None else load_retargeter(self.start)
+        hand = Hand(self.hand)
+        start = None if self.start is None else load_retargeter(self.start, hand)
         if not isinstance(start, UniversalRetargeter | None):
             raise GeortError(f"--start: {self.start} is no universal map")
-        p_HK = sample_population(settings.people, self.seed, settings.play_s)
-        figures, outputs = self._train_map(settings, p_HK, start)
+        with console.status("synthetic people"):
+            p_HK = sample_population(settings.people, self.seed, settings.play_s)
+        figures, outputs = self._train_map(hand, settings, p_HK, start)
         rows = [(figure.replace("_", " "), f"{value:.4f}") for figure, value in figures.items()]
         print_table(("figure of the training", "value"), rows, f"{self.hand}, seed {self.seed}")
         write_json(self.json, figures)
@@ -141,6 +143,7 @@ class Train(Command):
 
     def _train_map(
         self,
+        hand: "Hand",
         settings: "UniversalSettings",
         p_HK: "np.ndarray",
         start: "UniversalRetargeter | None",
@@ -149,13 +152,13 @@ class Train(Command):
 
         A map that starts from none is trained twice, see `UniversalSettings.refined`.
         """
-        from geort_drake import Hand, load_retargeter
+        from geort_drake import load_retargeter
         from geort_drake.console import progress_bar
         from geort_drake.hands.collision import canonical_shapes
         from geort_drake.retargeting.base import kinematics_of
         from geort_drake.retargeting.universal.train import train_universal
 
-        hand, output = Hand(self.hand), self.output
+        output = self.output
         kinematics, shapes = kinematics_of(hand), canonical_shapes(hand)
 
         def train(

@@ -89,7 +89,9 @@ def read_episodes(path: str | os.PathLike) -> Iterator[Episode]:
     results = folder / RESULTS
     if not results.is_file():
         raise RecordingError(
-            f"{folder}: {RESULTS} is missing; a run is a folder that geort-drake grasp wrote"
+            f"{folder}: {RESULTS} is missing; a run is a folder that geort-drake grasp or simulate wrote"
+            if folder.exists()
+            else f"{folder}: no such file or folder"
         )
     try:
         report = json.loads(results.read_text(encoding="utf-8"))

@@ -82,7 +82,7 @@ def require_side(stated: str, expected: str) -> None:
     if stated != expected:
         raise RecordingError(
             f"the file contains a {stated} hand, a {expected} one was requested; give --side {stated} or a "
-            f"{stated} robot hand, or convert it with --side {stated} --mirror"
+            f"{stated} robot hand, or mirror it: geort-drake recording convert FILE --side {stated} --mirror"
         )
 
 
@@ -194,7 +194,11 @@ def check_unit(p_HK: np.ndarray, unit: str | None = None) -> None:
     fits = [other for other, size in UNITS_M.items() if low <= number * size <= high]
     message = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
     message += f"; it would be right if lengths were in {fits[0]}" if fits else ""
-    raise RecordingError(message + (f": convert it with --unit {fits[0]}" if fits and unit else ""))
+    if fits and unit:
+        message += f": geort-drake recording convert FILE --unit {fits[0]}"
+    elif fits:
+        message += f": multiply them by {UNITS_M[fits[0]]:g}"
+    raise RecordingError(message)
 
 
 def check_side(p_HK: np.ndarray, side: str) -> list[str]:

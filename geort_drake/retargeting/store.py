@@ -139,11 +139,17 @@ def _read_header(path: Path) -> dict[str, Any]:
 
 
 def _check_hand(path: Path, retargeter: Retargeter, hand: Any) -> None:
+    hands = ", ".join(retargeter.robot_hands)
+    if hands and hasattr(hand, "description") and hand.description.name not in retargeter.robot_hands:
+        raise MapError(
+            f"{path}: the map is for {hands}, not for the robot hand {hand.description.name}; choose that "
+            "hand with --hand, or train a map for this one"
+        )
     for what in ("finger_names", "joint_names"):
         expected, names = tuple(getattr(hand, what)), getattr(retargeter, what)
         if expected != names:
             raise MapError(
-                f"{path}: the map is for another hand ({', '.join(retargeter.robot_hands)}); its "
+                f"{path}: the map is for another hand ({hands}); its "
                 f"{what.replace('_', ' ')} are {', '.join(names)}, expected {', '.join(expected)}; choose "
                 "that hand with --hand, or train a map for this one"
             )

@@ -169,7 +169,7 @@ def _read(path: Path, name: str, defaults: Scenario) -> Scenario:
         raise ScenarioError(f"scenario file {path} must map names to scenarios")
     choices = [key.value for key, _ in node.value]
     if name not in choices:
-        raise UnknownNameError(f"scenario in {path}", name, choices)
+        raise UnknownNameError(f"scenario of {path}:", name, choices)
     return merged(text, name, f"scenario '{name}' in {path}", defaults)
 
 

@@ -33,7 +33,7 @@ WEIGHTS = {
 STATISTICS = {
     "shape_mean": "shape", "shape_deviation": "shape", "input_mean": "F 3", "input_scale": "F 3",
 }  # fmt: skip
-_ALONE = "for fingertips alone, call the map that `for_person` returns"
+_ALONE = "fingertips alone and Jacobians need the map that `for_person(frames)` returns"
 
 
 def sizes_of(F: int) -> dict[str, int]:
