@@ -134,7 +134,8 @@ class ListHands(Command):
         from geort_drake.resources import hand_names
         from geort_drake.retargeting.store import shipped_maps
 
-        maps, rows, missing = shipped_maps(), [], {}
+        maps, rows = shipped_maps(), []
+        missing: dict[str, list[str]] = {}  # how to get a model → hands
         for name in hand_names():
             hand = load_hand(name)
             try:
