@@ -9,6 +9,7 @@ import trimesh
 from grasp_setup import stage_of
 from hand_family import HandSpec, write_hand
 from model_scene import SHIPPED_HANDS
+from pydrake.geometry import Convex
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 
@@ -21,6 +22,7 @@ from geort_drake.hands.importers.checks import nearest_pinch
 from geort_drake.hands.importers.proposal import propose
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.kinematics import fingertips
+from geort_drake.simulation.world import _on_lattice
 
 
 def _uniform(hand: Hand, rng, count: int) -> np.ndarray:
@@ -277,3 +279,24 @@ def test_touch_is_felt_with_rigid_fingertips_and_with_soft_ones_as_by_default(te
     assert (results.num_hydroelastic_contacts() > 0) == soft
     assert contact[1] > 0.05 and contact[[0, 2, 3]].max() == 0
     assert look("self_contact", p_BO)[0] == 0
+
+
+def test_a_soft_fingertip_has_no_degenerate_triangles(rng):
+    """Published hulls have vertices that nearly coincide; Drake refuses triangles without an area."""
+    p = rng.normal(size=(3, 500))
+    p *= 0.01 / np.linalg.norm(p, axis=0)
+    p = np.hstack([p, p + rng.normal(0, 1e-7, p.shape)])
+
+    def doubled_areas(shape: Convex) -> np.ndarray:
+        hull = shape.GetConvexHull()
+        faces = [hull.element(i) for i in range(hull.num_faces())]
+        corners = [[hull.vertex(f.vertex(k)) for k in range(f.num_vertices())] for f in faces]
+        fans = [(c[0], c[k], c[k + 1]) for c in corners for k in range(1, len(c) - 1)]
+        return np.array([np.linalg.norm(np.cross(b - a, c - a)) for a, b, c in fans])
+
+    coarse = _on_lattice(Convex(p, "tip"), "tip")
+    assert doubled_areas(Convex(p, "tip")).min() < 1e-10
+    assert doubled_areas(coarse).min() > 0.99e-6
+    hull = coarse.GetConvexHull()
+    radii = [np.linalg.norm(hull.vertex(v)) for v in range(hull.num_vertices())]
+    assert 0.009 < min(radii) and max(radii) < 0.011

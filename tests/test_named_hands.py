@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from geort_drake import Hand, load_hand, load_retargeter
+from geort_drake import Hand, load_hand, load_retargeter, load_scenario, run_trial
 from geort_drake.cli import run_command
 from geort_drake.errors import GeortError, HandError
 from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
@@ -18,6 +18,8 @@ from geort_drake.resources import hand_names, models_dir
 from geort_drake.retargeting.base import kinematics_of
 from geort_drake.retargeting.numpy_kinematics import MIRROR_TOLERANCE_M, match_joints
 from geort_drake.retargeting.store import shipped_maps
+from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.trial import TrialBuilder
 
 SHARED_WUJI = Path(__file__).resolve().parents[2] / "shared" / "hands" / "wuji"
 # The orders in which the makers' software takes angles, by the joints' names.
@@ -153,3 +155,14 @@ def test_a_training_for_a_missing_hand_ends_at_once(hand, tmp_path, monkeypatch)
     monkeypatch.setattr("geort_drake.people.synthetic.population.sample_population", pytest.fail)
     with pytest.raises(GeortError, match=hand):
         run_command("train", ["--universal", "--hand", hand, "--output", str(tmp_path / "map.safetensors")])
+
+
+@pytest.mark.slow
+def test_a_hand_whose_fingertips_are_meshes_holds_the_cube(hands):
+    """Published meshes have triangles with hardly any area, at which Drake ended the trial."""
+    hand = hands("wuji_right")
+    scenario = load_scenario(hand="wuji_right", text="{kind: servo}")
+    find_task("grasp").choose(scenario, "cube")
+    trial = TrialBuilder(hand).trial(scenario, load_retargeter("wuji_right", hand))
+    result, _ = run_trial(scenario, trial.retarget, trial.human)
+    assert result.success

@@ -7,6 +7,8 @@ import numpy as np
 from pydrake.geometry import (
     AddCompliantHydroelasticProperties,
     AddRigidHydroelasticProperties,
+    Convex,
+    Mesh,
     RoleAssign,
     SceneGraph,
 )
@@ -32,6 +34,9 @@ from geort_drake.systems.joint_limits import actuated_joints
 
 ARM, HAND = "arm", "hand"  # names of model instances
 _MESH_SIZE = 0.008  # m; edges of hydroelastic meshes, two thirds of a fingertip's radius
+# m; vertices of fingertips of other shapes are rounded to a lattice of this spacing. Every triangle on it has
+# an area, which Drake needs, and published hulls of a thousand vertices get a third of them.
+_LATTICE = 0.001
 
 
 def add_placed_object(
@@ -216,10 +221,21 @@ def _soften_fingertips(
     for geometry in [*tips, *plant.GetCollisionGeometriesForBody(body)]:
         properties = inspector.GetProximityProperties(geometry)
         if geometry in tips:
+            shape = inspector.GetShape(geometry)
+            if isinstance(shape, Convex | Mesh):
+                coarse = _on_lattice(shape, inspector.GetName(geometry))
+                scene_graph.ChangeShape(plant.get_source_id(), geometry, coarse)
             AddCompliantHydroelasticProperties(_MESH_SIZE, E, properties)
         else:
             AddRigidHydroelasticProperties(_MESH_SIZE, properties)
         scene_graph.AssignRole(plant.get_source_id(), geometry, properties, RoleAssign.kReplace)
+
+
+def _on_lattice(shape: Convex | Mesh, name: str) -> Convex:
+    """Returns the convex hull of a shape's vertices, rounded to the lattice."""
+    hull = shape.GetConvexHull()
+    vertices = np.array([hull.vertex(v) for v in range(hull.num_vertices())])
+    return Convex(_LATTICE * np.unique(np.round(vertices / _LATTICE), axis=0).T, name)
 
 
 def _scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: float) -> None:
