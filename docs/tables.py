@@ -407,7 +407,7 @@ def cases_table(name: str, *columns: str) -> str:
         cells = [f"{_successes(group)} of {len(group)}" if group else "–" for group in [*groups, own]]
         if people:
             by_person = [[row for row in own if row["person"] == person] for person in people]
-            cells.append(", ".join(str(_successes(group)) for group in by_person))
+            cells.append(", ".join(str(_successes(group)) if group else "–" for group in by_person))
         names = [f"`{v}`" if column == "method" else v for column, v in zip(columns, values, strict=True)]
         rows.append([*names, *cells])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)

@@ -21,6 +21,11 @@ PYTHON_SUFFIX = ".py"  # of a user's own method
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
+def is_own(method: str) -> bool:
+    """Returns whether this is the path of a Python file with a user's own method."""
+    return Path(method).suffix == PYTHON_SUFFIX
+
+
 def is_trained(method: str) -> bool:
     """Returns whether this is the name of a method that is trained on the recording."""
     return method in METHODS and METHODS[method].is_trained
@@ -38,7 +43,7 @@ def names_of(methods: Sequence[str], hand: Hand) -> dict[str, str]:
     names: dict[str, str] = {}
     for method in methods:
         path, is_method = Path(method).resolve(), method in METHODS
-        is_python = path.suffix == PYTHON_SUFFIX
+        is_python = is_own(method)
         if is_python and not path.is_file():
             raise MethodError(f"{method}: no such file; it must define make(hand)")
         if not (is_python or is_method or path.suffix == SUFFIX):
@@ -72,16 +77,18 @@ def resolve(
 
     Args:
         method: name of a method, or path of a map or a Python file.
-        recording: training data, or the frames that an untrained method uses; None synthesises five minutes
-            of play for a method that needs them.
+        recording: training data, or the frames that an untrained method uses and on the first of which an own
+            method is examined; None synthesises as much play as the method needs, at most five minutes.
         seed: seed of the training, or of an untrained method's random samples.
         device: "cpu" or "cuda", for the training.
 
     Raises:
         MethodError: a Python file has no usable method, see `OwnMethod.check`.
+        MapError: a map is damaged or for another hand, or no map is shipped for `hand`.
+        RecordingError, TrainingError: see `train.cached_map`.
     """
     path = Path(method)
-    if path.suffix == PYTHON_SUFFIX:
+    if is_own(method):
         own = OwnMethod(path.resolve(), hand)
         play = synthesize_play(seed=0, duration_s=1.0) if recording is None else recording
         own.check(play.p_HK[play.valid][0].astype(float))

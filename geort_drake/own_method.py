@@ -60,7 +60,7 @@ class OwnMethod:
             duration = time.perf_counter() - start
         except MethodError:
             raise
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             raise MethodError(f"{self._path}: raised {type(error).__name__}: {error}") from error
         if fault := self._fault(q):
             expected = f"joint angles ({len(self.lower)},), rad, within the limits"
@@ -79,7 +79,7 @@ class OwnMethod:
             return np.array([self(frame) for frame in p_HK]).reshape(-1, len(self.lower))
         try:
             q = self._retarget_frame(p_HK)
-        except Exception as error:  # a method may raise anything; the trial records it
+        except (Exception, SystemExit) as error:  # a method may raise anything; the trial records it
             fault, q = f"raised {type(error).__name__}", np.empty(0)
         else:
             fault = self._fault(q)

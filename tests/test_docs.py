@@ -24,7 +24,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
 
-from geort_drake import GloveReplay, rerun, run_trial, synthesize_play, train_map
+from geort_drake import GloveReplay, Recording, rerun, run_trial, synthesize_play, train_map
 from geort_drake.cli import COMMANDS, load_command, parse, run_command, split_command
 from geort_drake.console import console
 from geort_drake.errors import OutputError
@@ -297,6 +297,20 @@ def test_one_line_gives_another_object_or_seed(edit, options, expected, tmp_path
     grasp = parse("grasp", [*shlex.split(options), "--scenario-file", "edited.yaml"])
     scenarios = grasp.scenarios_of(grasp.load_scenario())
     assert [(scenario.object.name, scenario.random_seed) for scenario in scenarios] == expected
+
+
+@pytest.mark.parametrize(
+    ("options", "task", "seed"), [("", "keys", 5), ("--task keys", "keys", 5), ("--task cap", "cap", 0)]
+)
+def test_a_session_is_replayed_in_its_task_unless_another_is_chosen(options, task, seed, tmp_path, play):
+    """With its own seed, and for as long as it lasts."""
+    facts = {"task": "keys", "object": "keys", "seed": 5}
+    path = tmp_path / "session.npz"
+    Recording(play.t[:600], play.p_HK[:600], play.valid[:600], metadata={**play.metadata, **facts}).save(path)
+    simulate = parse("simulate", [*shlex.split(options), "--replay", str(path)])
+    (scenario,) = simulate.scenarios_of(*simulate._request())
+    assert (scenario.task, scenario.random_seed) == (task, seed)
+    assert (scenario.timeout < play.t[599] + 3) == (task == "keys")
 
 
 @pytest.mark.parametrize("line", shown(r"(\w+=\w+ )?python \w+/"))

@@ -10,7 +10,7 @@ from grasp_setup import stage_of
 from hand_family import HandSpec, write_hand
 from model_scene import SHIPPED_HANDS
 from pydrake.geometry import Convex
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake import Hand, load_scenario
@@ -294,6 +294,10 @@ def test_a_soft_fingertip_has_no_degenerate_triangles(rng):
         fans = [(c[0], c[k], c[k + 1]) for c in corners for k in range(1, len(c) - 1)]
         return np.array([np.linalg.norm(np.cross(b - a, c - a)) for a, b, c in fans])
 
+    turn = RotationMatrix(RollPitchYaw(0.3, 0.7, 0.1)).matrix()
+    thin = turn @ (np.array([[10.0], [10.0], [0.2]]) * rng.choice([-1e-3, 1e-3], (3, 40)))
+    for small in (thin, 0.02 * p):  # pieces of published models
+        assert doubled_areas(_on_lattice(Convex(small, "tip"), "tip")).min() > 1e-10
     coarse = _on_lattice(Convex(p, "tip"), "tip")
     assert doubled_areas(Convex(p, "tip")).min() < 1e-10
     assert doubled_areas(coarse).min() > 0.99e-6

@@ -54,6 +54,7 @@ def test_each_trial_and_each_process_makes_the_method_anew(tmp_path, play):
 
 FAULTS = {
     "raise ValueError('why')": "raised ValueError",
+    "raise SystemExit('no licence')": "raised SystemExit",
     "q = None": "of shape ()",
     "q = q[:-1]": "of shape (15,)",
     "q = q[None]": "of shape (1, 16)",

@@ -143,7 +143,7 @@ class Explore(Command):
     def run(self) -> int:
         from geort_drake import Hand
         from geort_drake.console import track
-        from geort_drake.methods import names_of, resolve
+        from geort_drake.methods import is_own, names_of, resolve
         from geort_drake.metrics.evaluation import adapt
         from geort_drake.metrics.explorer import excerpt, response, write_exploration
         from geort_drake.retargeting.train import training_recording
@@ -152,9 +152,11 @@ class Explore(Command):
         names = names_of(self.methods, hand)
         recording = training_recording(self.recording, hand.description.side, self.seed)
         hands = excerpt(recording, duration_s=self.duration, start_s=self.start)
+        # A user's own methods are examined before others are trained.
+        own = {name: resolve(method, hand, recording)[0] for name, method in names.items() if is_own(method)}
         methods = {}
         for name, method in track("retargeting", names.items(), len(names), lambda item: item[0]):
-            retarget, _ = resolve(method, hand, recording, self.seed)
+            retarget = own[name] if name in own else resolve(method, hand, recording, self.seed)[0]
             methods[name] = response(adapt(retarget, recording), hand, hands)
         properties = {
             "hand": hand.description.name,

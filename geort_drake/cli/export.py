@@ -22,7 +22,7 @@ from geort_drake.errors import OutputError, UsageError
 
 @options
 class Export(Command):
-    """Export grasp trials or a recording of a hand to Parquet, LeRobot or Rerun.
+    """Export trials or a recording of a hand to Parquet, LeRobot or Rerun.
 
     formats:
       parquet  a folder with one table of frames per trial, and one table of all trials and outcomes
@@ -31,7 +31,7 @@ class Export(Command):
     """
 
     input: Positional[Path]
-    """folder that `geort-drake grasp` wrote, or a recording of a hand"""
+    """folder that `geort-drake grasp` or `simulate` wrote, or a recording of a hand"""
     output: Annotated[Path, arg(metavar="PATH")]
     """folder to write; with rrd, a file"""
     format: Literal["parquet", "lerobot", "rrd"] | None = None
@@ -63,7 +63,6 @@ class Export(Command):
             write_hand(read_recording(self.input, self.side), self.output, self.fps or 30)
         else:
             require_output_folder(self.output)
-            # A missing input is read as a run, because that error says what a run needs.
             if is_run or not self.input.exists():
                 episodes = read_episodes(self.input)
             else:

@@ -29,7 +29,7 @@ class AddHand(Command):
     """Describe a robot hand from its URDF, SDF or MJCF model, or check a description.
 
       geort-drake hand add my_hand.urdf
-      geort-drake train --hand my_hand.yaml --output my_hand.safetensors
+      geort-drake train --universal --hand my_hand.yaml --output my_hand.safetensors
 
     The model must be one hand with 2 to 5 fingers of revolute joints. The command proposes the fingers with
     their joints, names and tips, the hand base B (+x out of the palm, +z along the fingers), the side,

@@ -86,7 +86,7 @@ class Grasp(Command, ScenarioOptions):
         from geort_drake import Hand, __version__
         from geort_drake.console import say
         from geort_drake.export.episode import RESULTS
-        from geort_drake.methods import PYTHON_SUFFIX, default_method, names_of, resolve
+        from geort_drake.methods import default_method, is_own, names_of, resolve
         from geort_drake.retargeting.train import training_recording
         from geort_drake.simulation.trial import Trial, TrialBuilder
 
@@ -102,13 +102,12 @@ class Grasp(Command, ScenarioOptions):
 
         # Plans before training, because planning shows whether the robot can grasp the objects at all; but a
         # user's own method is examined at once.
-        is_own = Path(method).suffix == PYTHON_SUFFIX
-        if is_own:
+        if is_own(method):
             retarget, path = resolve(method, hand, recording)
         builder = TrialBuilder(hand, recording)
         if replay is None:
             scenarios = _feasible(builder, scenarios)
-        if not is_own:
+        if not is_own(method):
             retarget, path = resolve(method, hand, recording, self.seed, self.device)
         person = str(self.recording or "an average adult")
         say(f"Person:     {person}")
@@ -202,6 +201,7 @@ class Grasp(Command, ScenarioOptions):
         """Returns a scenario per trial, from `base`; a session sets its own object, seed and timeout."""
         from geort_drake.simulation.scenario_files import check_scenario, names_object
         from geort_drake.simulation.tasks import find_task
+        from geort_drake.simulation.tasks.grasp import GraspSettings
 
         task = find_task(base.task)
         objects = self.objects or (DEFAULT_OBJECTS if base.task == "grasp" else task.cases())
@@ -209,10 +209,11 @@ class Grasp(Command, ScenarioOptions):
         if not self.objects and base.task == "grasp" and names_object(*of_scenario):
             objects = [base.object.name]
         facts = replay.metadata if replay else {}
-        if replay and not self.objects and "object" in facts:
+        if replay and not self.objects and "object" in facts and facts.get("task", base.task) == base.task:
             objects = [facts["object"]]
             base.random_seed = int(facts.get("seed", base.random_seed))
-            base.timeout = float(replay.t[-1] - replay.t[0]) + find_task("grasp").settings_of(base).hold_time
+            hold_time = getattr(task.settings_of(base), "hold_time", GraspSettings.hold_time)
+            base.timeout = float(replay.t[-1] - replay.t[0]) + hold_time
         scenarios = []
         for name in objects:
             for trial in range(self.trials):
@@ -241,8 +242,8 @@ class Grasp(Command, ScenarioOptions):
                 )
             return base, None
         replay = read_recording(path, self.side or load_hand(base.hand).side)
-        task = replay.metadata.get("task", base.task)
-        if task != base.task and self.scenario_file is None and name == "Grasp":
+        task, is_chosen = replay.metadata.get("task", base.task), getattr(self, "task", None) is not None
+        if task != base.task and not is_chosen and self.scenario_file is None and name == "Grasp":
             base = load_scenario(text=self.scenario_text, hand=self.hand, task=task)
         if base.fixed_base:
             return base, dataclasses.replace(replay, X_WH=None)  # the base cannot follow the wrist
@@ -254,6 +255,9 @@ class Grasp(Command, ScenarioOptions):
         return base, replay
 
 
+_TASK_HELP = f"one of {', '.join(task_names())} (default: grasp, or that of the session to replay)"
+
+
 @options
 class Simulate(Grasp):
     """Let a simulated person do any task with a robot hand.
@@ -262,7 +266,7 @@ class Simulate(Grasp):
     person.
     """
 
-    task: Annotated[str, arg(metavar="NAME", help=f"one of {', '.join(task_names())}")] = "grasp"
+    task: Annotated[str | None, arg(metavar="NAME", help=_TASK_HELP)] = None
     kind: Literal["servo", "mimicry", "adaptive"] | None = None
     """kind of simulated person (default: the scenario's)"""
     output: Annotated[Path, arg(metavar="DIR")] = Path("runs/simulate")
@@ -273,7 +277,7 @@ class Simulate(Grasp):
         from geort_drake.simulation.scenario_files import check_scenario
 
         if self.scenario_file is None and self.scenario_name == "Grasp":
-            base = load_scenario(text=self.scenario_text, hand=self.hand, task=self.task)
+            base = load_scenario(text=self.scenario_text, hand=self.hand, task=self.task or "grasp")
         else:
             base = self.load_scenario()
         if self.kind is not None:

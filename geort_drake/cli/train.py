@@ -121,6 +121,7 @@ class Train(Command):
         from geort_drake.people.synthetic.population import sample_population
         from geort_drake.retargeting.universal.losses import UniversalSettings
         from geort_drake.retargeting.universal.person import UniversalRetargeter
+        from geort_drake.retargeting.universal.train import require_thumb
         from geort_drake.settings import parse_settings
 
         if self.recording is not None:
@@ -129,6 +130,7 @@ class Train(Command):
         settings = dataclasses.replace(UniversalSettings(), **changes)
         settings.validate()
         hand = Hand(self.hand)
+        require_thumb(hand.finger_names)
         start = None if self.start is None else load_retargeter(self.start, hand)
         if not isinstance(start, UniversalRetargeter | None):
             raise GeortError(f"--start: {self.start} is no universal map")
@@ -209,9 +211,9 @@ def _save_universal(retargeter: "UniversalRetargeter", hand: "Hand", path: Path)
 
 
 def _other_side(hand: "Hand") -> "Hand | None":
-    """Returns the known hand of the same name with the other side; None if there is none."""
+    """Returns the known hand of the same name with the other side; None without it or its model."""
     from geort_drake import Hand
-    from geort_drake.errors import UnknownNameError
+    from geort_drake.errors import HandError, UnknownNameError
 
     side, name = hand.description.side, hand.description.name
     other = {"right": "left", "left": "right"}[side]
@@ -219,7 +221,7 @@ def _other_side(hand: "Hand") -> "Hand | None":
         return None
     try:
         model = Hand(name.replace(side, other))
-    except UnknownNameError:
+    except (UnknownNameError, HandError):
         return None
     return model if model.description.side == other else None
 

@@ -20,7 +20,7 @@ from rich.text import Text
 from geort_drake.errors import GeortError, MapError, RecordingError
 from geort_drake.files import finite_json
 from geort_drake.hands.hand import Hand
-from geort_drake.methods import PYTHON_SUFFIX, resolve
+from geort_drake.methods import is_own, resolve
 from geort_drake.metrics.evaluation import MIN_FRAMES, evaluate
 from geort_drake.people.recording import Recording
 from geort_drake.retargeting import METHODS
@@ -241,7 +241,7 @@ class Comparison:
         trained_on, source = self.protocols[protocol][part]
         if (count := min(int(source.valid.sum()), self.frame_limit or len(source))) < MIN_FRAMES:
             raise RecordingError(f"{part}: {count} valid frames, at least {MIN_FRAMES} are needed")
-        if name not in METHODS and Path(name).suffix != PYTHON_SUFFIX:
+        if name not in METHODS and not is_own(name):
             _check_training(name, protocol, part, source)
         retarget, _ = resolve(name, self.hand, trained_on, seed)
         metrics = evaluate(retarget, self.hand, source, seed, self.frame_limit, protocol != HELD_OUT)

@@ -82,7 +82,8 @@ def require_side(stated: str, expected: str) -> None:
     if stated != expected:
         raise RecordingError(
             f"the file contains a {stated} hand, a {expected} one was requested; give --side {stated} or a "
-            f"{stated} robot hand, or mirror it: geort-drake recording convert FILE --side {stated} --mirror"
+            f"{stated} robot hand, or mirror it: geort-drake recording convert FILE --side {stated} --mirror "
+            "--output NEW.npz"
         )
 
 
@@ -195,7 +196,7 @@ def check_unit(p_HK: np.ndarray, unit: str | None = None) -> None:
     message = f"wrist to middle knuckle must be {1e3 * low:.0f} to {1e3 * high:.0f} mm, but is {palm:.4g} m"
     message += f"; it would be right if lengths were in {fits[0]}" if fits else ""
     if fits and unit:
-        message += f": geort-drake recording convert FILE --unit {fits[0]}"
+        message += f": geort-drake recording convert FILE --unit {fits[0]} --output NEW.npz"
     elif fits:
         message += f": multiply them by {UNITS_M[fits[0]]:g}"
     raise RecordingError(message)

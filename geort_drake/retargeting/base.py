@@ -38,7 +38,7 @@ class Retargeter(ABC):
         robot_hands: names of the robot hands for which the map was made.
         trained_points: (F, M, 3) thinned positions of each fingertip in the recording of the training, m,
             from `clouds.trained_points`; None if there was no such recording.
-        info: method, config, provenance and figures of a trained map, in JSON types.
+        info: method, config, provenance and figures of a trained map, see `store`; in JSON types.
         arrays: the weights of a trained map.
     """
 

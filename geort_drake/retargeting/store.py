@@ -6,7 +6,7 @@ A map is one safetensors file. Its header has an entry "geort_drake" with a JSON
     kind             of the weights: "mlp" or "universal"
     robot_hands      names of the robot hands for which the map was made
     finger_names, joint_names, human_keypoints, lower, upper   as in `Retargeter`
-    info             method, config, provenance, figures
+    info             method, config, provenance; of a universal map figures, of others metrics and history
 """
 
 import functools
@@ -143,7 +143,8 @@ def _check_hand(path: Path, retargeter: Retargeter, hand: Any) -> None:
     if hands and hasattr(hand, "description") and hand.description.name not in retargeter.robot_hands:
         raise MapError(
             f"{path}: the map is for {hands}, not for the robot hand {hand.description.name}; choose that "
-            "hand with --hand, or train a map for this one"
+            "hand with --hand, or train a map for this one. If it is the same hand, give its description the "
+            "name in the map"
         )
     for what in ("finger_names", "joint_names"):
         expected, names = tuple(getattr(hand, what)), getattr(retargeter, what)

@@ -72,7 +72,7 @@ def seen_fingertips(
     order = [list(retarget.joint_names).index(name) for name in hand.joint_names]  # type: ignore[attr-defined]
     try:
         q = np.array([retarget(frame) for frame in frames])[:, order]
-    except Exception:  # a method may raise anything; its trials record the error
+    except (Exception, SystemExit):  # a method may raise anything; its trials record the error
         q = np.empty((0, len(order)))
     finite = np.isfinite(q).all(axis=1)
     tips = [4 * FINGER_NAMES.index(name) + 4 for name in hand.finger_names]

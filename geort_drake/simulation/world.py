@@ -34,8 +34,8 @@ from geort_drake.systems.joint_limits import actuated_joints
 
 ARM, HAND = "arm", "hand"  # names of model instances
 _MESH_SIZE = 0.008  # m; edges of hydroelastic meshes, two thirds of a fingertip's radius
-# m; vertices of fingertips of other shapes are rounded to a lattice of this spacing. Every triangle on it has
-# an area, which Drake needs, and published hulls of a thousand vertices get a third of them.
+# m; vertices of fingertip meshes are rounded to a lattice of this spacing, or finer in thin meshes. Every
+# triangle on it has an area, which Drake needs. A published hull of a thousand vertices keeps about 110.
 _LATTICE = 0.001
 
 
@@ -232,10 +232,12 @@ def _soften_fingertips(
 
 
 def _on_lattice(shape: Convex | Mesh, name: str) -> Convex:
-    """Returns the convex hull of a shape's vertices, rounded to the lattice."""
+    """Returns the convex hull of a shape's vertices, rounded to a lattice finer than its thickness."""
     hull = shape.GetConvexHull()
     vertices = np.array([hull.vertex(v) for v in range(hull.num_vertices())])
-    return Convex(_LATTICE * np.unique(np.round(vertices / _LATTICE), axis=0).T, name)
+    axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
+    spacing = min(_LATTICE, np.ptp(vertices @ axes.T, axis=0).min() / 4)
+    return Convex(spacing * np.unique(np.round(vertices / spacing), axis=0).T, name)
 
 
 def _scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: float) -> None:

@@ -350,6 +350,12 @@ class Training:
             setattr(owner, name, value)
 
 
+def require_thumb(finger_names: Sequence[str]) -> None:
+    """Raises TrainingError for a hand without thumb, or without another finger."""
+    if "thumb" not in finger_names or len(finger_names) < 2:
+        raise TrainingError(f"the hand needs a thumb and another finger, it has {', '.join(finger_names)}")
+
+
 def train_universal(
     kinematics: HandKinematics,
     shapes: CollisionShapes,
@@ -383,9 +389,7 @@ def train_universal(
     """
     settings = settings or UniversalSettings()
     settings.validate()
-    names = kinematics.finger_names
-    if "thumb" not in names or len(names) < 2:
-        raise TrainingError(f"the hand needs a thumb and another finger, it has {', '.join(names)}")
+    require_thumb(kinematics.finger_names)
     if p_HK is None:
         p_HK = sample_population(settings.people, seed, settings.play_s)
     with one_thread():
