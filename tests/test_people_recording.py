@@ -267,7 +267,7 @@ def test_a_recording_is_mirrored_for_a_hand_of_the_other_side(npy, tmp_path, cap
     right, left = read_recording(npy), read_recording(tmp_path / "left.npz", "left", training=True)
     np.testing.assert_array_equal(left.p_HK, right.p_HK)
     assert left.metadata["recorded_side"] == "right" and left.digest != right.digest
-    with pytest.raises(RecordingError, match=r"contains a left hand, .* with --side left --mirror"):
+    with pytest.raises(RecordingError, match=r"contains a left hand, .*convert FILE --side left --mirror"):
         read_recording(tmp_path / "left.npz")
     assert left.mirrored().digest == right.digest
 
