@@ -8,8 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import DiagramBuilder
 
-from geort_drake import Hand, load_hand, load_retargeter, load_scenario, run_trial
+from geort_drake import (
+    Hand,
+    RetargetingSystem,
+    add_hand_model,
+    load_hand,
+    load_retargeter,
+    load_scenario,
+    run_trial,
+)
 from geort_drake.cli import run_command
 from geort_drake.errors import GeortError, HandError
 from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
@@ -155,6 +165,17 @@ def test_a_training_for_a_missing_hand_ends_at_once(hand, tmp_path, monkeypatch)
     monkeypatch.setattr("geort_drake.people.synthetic.population.sample_population", pytest.fail)
     with pytest.raises(GeortError, match=hand):
         run_command("train", ["--universal", "--hand", hand, "--output", str(tmp_path / "map.safetensors")])
+
+
+@pytest.mark.parametrize("name", sorted(shipped_maps()))
+def test_a_shipped_map_fits_its_hand_in_a_diagram(name, hands):
+    """Joints that others follow have narrower limits in the map than in the model."""
+    hands(name)
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.0)
+    model = add_hand_model(plant, name)
+    plant.Finalize()
+    RetargetingSystem(load_retargeter(name), plant, model)
 
 
 @pytest.mark.slow

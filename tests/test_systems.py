@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.analysis import Simulator
@@ -16,6 +16,7 @@ from geort_drake import (
     Recording,
     RetargetingSystem,
     add_hand_model,
+    load_hand,
     load_retargeter,
     synthesize_play,
 )
@@ -222,6 +223,21 @@ def test_a_map_of_another_hand_whose_joints_have_the_same_names_is_refused():
         RetargetingSystem(retarget, plant, leap)
     RetargetingSystem(retarget, plant, leap, limits=JointLimits.of_plant(plant, leap))
     RetargetingSystem(retarget, plant, allegro)
+
+
+@pytest.mark.parametrize("is_welded", [True, False])
+def test_a_map_for_the_hand_of_the_other_side_is_refused(is_welded):
+    """Both Allegro hands have joints of the same names and limits."""
+    for name, other in (("allegro_right", "allegro_left"), ("allegro_left", "allegro_right")):
+        plant = MultibodyPlant(0.0)
+        model = add_hand_model(plant, name)
+        if is_welded:
+            base = plant.GetFrameByName(load_hand(name).base_frame, model)
+            plant.WeldFrames(plant.world_frame(), base, RigidTransform(RollPitchYaw(1, 2, 3), [1, 2, 3]))
+        plant.Finalize()
+        RetargetingSystem(load_retargeter(name), plant, model)
+        with pytest.raises(HandError, match=f"is for {other}, but the plant has a hand of the other side"):
+            RetargetingSystem(load_retargeter(other), plant, model)
 
 
 def test_limits_and_start_come_from_the_plant_and_an_unconnected_valid_port_counts_as_tracked():

@@ -11,7 +11,9 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import FrameError, GeortError, HandError
+from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.people.keypoints import KEYPOINT_COUNT
+from geort_drake.resources import hand_names
 from geort_drake.systems.joint_limits import (
     DEFAULT_SPEED,
     JointLimits,
@@ -102,8 +104,8 @@ class RetargetingSystem(PythonSystem):
 
     Raises:
         HandError: the retargeter's joints are unknown or are not those that the model actuates, or have other
-            limits; or an initial position is outside of the limits; while it runs, `retarget` returned
-            another shape.
+            limits; a shipped map is for the hand of the other side; or an initial position is outside of the
+            limits; while it runs, `retarget` returned another shape.
         ValueError: the period, latency or cutoff is out of range.
     """
 
@@ -140,6 +142,7 @@ class RetargetingSystem(PythonSystem):
         self._limits = limits or JointLimits.of_plant(plant, model, DEFAULT_SPEED)
         if limits is None:
             self._check_ranges(retarget)
+        _check_side(retarget, plant, model)
         if initial_positions is None:
             initial_positions = {joint.name(): float(joint.default_positions()[0]) for joint in joints}
         q0 = self._limits.start(initial_positions, self.joint_names)
@@ -212,13 +215,20 @@ class RetargetingSystem(PythonSystem):
         person.view(PERSON_FIELDS)[0]["count"] = 0
 
     def _check_ranges(self, retarget: Any) -> None:
-        """Raises HandError if the retargeter's joints have other limits than the model's."""
+        """Raises HandError if the retargeter's joints have other limits than the model's.
+
+        A joint that others follow may have narrower ones, within which these keep to their own limits.
+        """
         lower, upper = getattr(retarget, "lower", None), getattr(retarget, "upper", None)
         if lower is None or upper is None:
             return
         expected = np.stack([lower, upper], axis=1)[self._to_plant]
         limits = np.stack([self._limits.lower, self._limits.upper], axis=1)
         differences = np.abs(expected - limits).max(axis=1)
+        leaders = {c.follows for hand in _known_hands(retarget) for c in hand.followers}
+        is_leader = np.isin(self.joint_names, sorted(leaders))
+        beyond = np.maximum(limits[:, 0] - expected[:, 0], expected[:, 1] - limits[:, 1])
+        differences = np.where(is_leader, beyond, differences)
         if differences.max() > _SAME_LIMITS:
             worst = int(differences.argmax())
             (low, high), (model_low, model_high) = expected[worst], limits[worst]
@@ -352,3 +362,35 @@ class RetargetingSystem(PythonSystem):
         memory = context.get_discrete_state(self._memory).value().view(self._memory_fields)[0]
         state, since, distance = (memory[name].item() for name in ("state", "since", "distance"))
         output.set_value(RetargetingStatus(STATES[int(state)], since, distance))
+
+
+def _known_hands(retarget: Any) -> list[HandDescription]:
+    """Returns the hands known by name for which a map was made."""
+    names = set(getattr(retarget, "robot_hands", ())).intersection(hand_names())
+    return [load_hand(name) for name in sorted(names)]
+
+
+def _check_side(retarget: Any, plant: MultibodyPlant, model: ModelInstanceIndex) -> None:
+    """Raises HandError if the map of a hand known by name is given the hand of the other side.
+
+    Both may have joints of the same names and limits, as Allegro's have. The thumb tells them apart: with all
+    joints at zero, it is on the side of the index finger, +y of the hand base for a right hand. Plants that
+    lack the description's frames are not checked.
+    """
+    for hand in _known_hands(retarget):
+        links = {finger.name: finger.tip_link for finger in hand.fingers}
+        if not all(plant.HasFrameNamed(frame, model) for frame in (hand.base_frame, *links.values())):
+            continue
+        context, base = plant.CreateDefaultContext(), plant.GetFrameByName(hand.base_frame, model)
+        q = plant.GetPositions(context)
+        for joint in map(plant.get_joint, plant.GetJointIndices(model)):
+            if joint.num_positions() == 1:
+                q[joint.position_start()] = 0.0
+        plant.SetPositions(context, q)
+        y = {
+            finger: plant.GetFrameByName(link, model).CalcPose(context, base).translation()[1]
+            for finger, link in links.items()
+        }
+        towards_index = y.pop("thumb", math.nan) - np.mean([*y.values()])
+        if (towards_index if hand.side == "right" else -towards_index) < 0:
+            raise HandError(f"the retargeter is for {hand.name}, but the plant has a hand of the other side")
