@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from grasp_setup import stage_of
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
@@ -22,6 +23,7 @@ from geort_drake import (
 )
 from geort_drake.cli import run_command
 from geort_drake.errors import GeortError, HandError
+from geort_drake.hands.assembly import HandInPlant
 from geort_drake.hands.model_search import MODEL_FOLDERS, find_model
 from geort_drake.people.synthetic.population import sample_person
 from geort_drake.resources import hand_names, models_dir
@@ -176,6 +178,15 @@ def test_a_shipped_map_fits_its_hand_in_a_diagram(name, hands):
     model = add_hand_model(plant, name)
     plant.Finalize()
     RetargetingSystem(load_retargeter(name), plant, model)
+
+
+def test_fingertip_meshes_of_a_trial_are_coarse(hands):
+    """Wuji's have up to 1,053 vertices, some of which nearly coincide."""
+    description, builder = hands("wuji_right").description, DiagramBuilder()
+    stage = stage_of(builder, load_scenario(hand="wuji_right"), description)
+    inspector = builder.GetSubsystemByName("scene_graph").model_inspector()
+    tips = HandInPlant(stage.plant, description, stage.hand).tip_geometries(inspector)
+    assert all(inspector.GetShape(tip).GetConvexHull().num_vertices() < 200 for tip in tips)
 
 
 @pytest.mark.slow

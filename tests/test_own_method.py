@@ -13,9 +13,11 @@ from pydrake.multibody.plant import MultibodyPlant
 from geort_drake import load_scenario
 from geort_drake.benchmark.log import TrialKey
 from geort_drake.benchmark.workers import simulate
+from geort_drake.cli import run_command
 from geort_drake.errors import MethodError
 from geort_drake.methods import measure_latency, names_of, resolve
 from geort_drake.own_method import OwnMethod
+from geort_drake.simulation.plan.grasp import GraspPlanner
 from geort_drake.simulation.trial import Trial
 
 DEX_EXAMPLE = Path(__file__).parents[1] / "examples" / "dex_retargeting_method.py"
@@ -91,6 +93,17 @@ def test_a_file_without_a_method_is_refused(tmp_path, play, text):
         resolve(str(tmp_path / "mine.py"), allegro(), play)
     with pytest.raises(MethodError, match=r"other\.py: no such file"):
         names_of([str(tmp_path / "other.py")], allegro())
+
+
+@pytest.mark.parametrize("command", ["grasp --retargeter", "explore --methods geort"])
+def test_commands_refuse_an_unusable_file_before_they_plan_or_train(command, tmp_path, monkeypatch):
+    monkeypatch.setattr(GraspPlanner, "plans", pytest.fail)
+    monkeypatch.setattr("geort_drake.retargeting.train.cached_map", pytest.fail)
+    (tmp_path / "mine.py").write_text("make = 3")
+    name, *words = command.split()
+    output = ["--output", str(tmp_path / ("run" if name == "grasp" else "e.rrd"))]
+    with pytest.raises(MethodError, match="must define"):
+        run_command(name, [*words, str(tmp_path / "mine.py"), *output])
 
 
 def test_time_that_a_method_waits_counts_as_latency(tmp_path, play, monkeypatch):

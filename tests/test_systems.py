@@ -1,6 +1,8 @@
 """Each system by itself: fix the inputs, advance, evaluate."""
 
 import dataclasses
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -223,6 +225,28 @@ def test_a_map_of_another_hand_whose_joints_have_the_same_names_is_refused():
         RetargetingSystem(retarget, plant, leap)
     RetargetingSystem(retarget, plant, leap, limits=JointLimits.of_plant(plant, leap))
     RetargetingSystem(retarget, plant, allegro)
+
+
+@pytest.mark.parametrize(
+    ("joint", "lower", "upper", "fits"),
+    [
+        ("index_q1", 0.0, 1.0, True),
+        ("index_q1", -2.0, 2.5, False),
+        ("thumb_q1", 0.0, 1.0, False),
+        ("thumb_q1", -2.0, 2.0, True),
+    ],
+)
+def test_a_joint_that_others_follow_may_have_narrower_limits_in_the_map(joint, lower, upper, fits):
+    """So that the followers keep to theirs; Ability's index_q1 is followed, and thumb_q1 is not."""
+    joints = [name for finger in load_hand("ability_right").fingers for name in finger.joints]
+    plant, model = joint_plant(tuple(joints))  # from −2 to 2 rad each
+    limits = np.tile([-2.0, 2.0], (len(joints), 1))
+    limits[joints.index(joint)] = lower, upper
+    retarget = SimpleNamespace(
+        joint_names=joints, lower=limits[:, 0], upper=limits[:, 1], robot_hands=("ability_right",)
+    )
+    with nullcontext() if fits else pytest.raises(HandError, match=f"'{joint}' moves from"):
+        RetargetingSystem(retarget, plant, model)
 
 
 @pytest.mark.parametrize("is_welded", [True, False])

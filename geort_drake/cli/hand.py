@@ -142,16 +142,16 @@ class ListHands(Command):
                 find_model(hand)
                 model = "at hand"
             except HandError:
-                model = f"missing: {hand.source.get}" if hand.source.get else "missing"
+                model = "missing"
                 if hand.source.get:
                     missing.setdefault(hand.source.get, []).append(name)
             has_map = "yes" if name in maps else "no"
-            rows.append((name, hand.side, ", ".join(hand.finger_names), has_map, model))
+            rows.append((name, hand.side, ", ".join(hand.finger_names), has_map, model, hand.source.get))
         columns = ("hand", "side", "fingers", "map", "model")
-        print_table(columns, [(*row[:-1], row[-1].partition(":")[0]) for row in rows], text=columns[1:])
+        print_table(columns, [row[:-1] for row in rows], text=columns[1:])
         for get, names in missing.items():  # outside of the table, where a line can be copied
             say(f"model of {', '.join(names)}: {get}")
-        write_json(self.json, [dict(zip(("name", *columns[1:]), row, strict=True)) for row in rows])
+        write_json(self.json, [dict(zip(("name", *columns[1:], "get"), row, strict=True)) for row in rows])
         finish({}, command("hand", "add", "my_hand.urdf"))
         return 0
 

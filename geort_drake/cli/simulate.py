@@ -102,13 +102,11 @@ class Grasp(Command, ScenarioOptions):
 
         # Plans before training, because planning shows whether the robot can grasp the objects at all; but a
         # user's own method is examined at once.
-        if is_own(method):
-            retarget, path = resolve(method, hand, recording)
+        own = resolve(method, hand, recording) if is_own(method) else None
         builder = TrialBuilder(hand, recording)
         if replay is None:
             scenarios = _feasible(builder, scenarios)
-        if not is_own(method):
-            retarget, path = resolve(method, hand, recording, self.seed, self.device)
+        retarget, path = own or resolve(method, hand, recording, self.seed, self.device)
         person = str(self.recording or "an average adult")
         say(f"Person:     {person}")
         say(f"Retargeter: {_origin(method, retarget, path)}")

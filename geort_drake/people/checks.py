@@ -209,7 +209,8 @@ def check_side(p_HK: np.ndarray, side: str) -> list[str]:
         raise RecordingError(
             f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a {side} "
             f"one in mirrored axes (such as Unity's, which are left-handed); read it with --side {other}, "
-            f"or to get a {side} hand, also if the axes are mirrored, convert it with --side {other} --mirror"
+            f"or to get a {side} hand, also if the axes are mirrored: geort-drake recording convert FILE "
+            f"--side {other} --mirror --output NEW.npz"
         )
     if bending < _MIN_BEND_SINE:
         return [

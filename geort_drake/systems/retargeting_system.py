@@ -58,9 +58,9 @@ class RetargetingSystem(PythonSystem):
     An update has three stages. The gate decides whether the keypoints can be followed. The map is one fixed
     function of the keypoints, unless the method itself has a memory; that of a universal retargeter is for
     the person who is measured in the first `MEASURED_FRAMES` good frames, and holds when it sees another
-    person's bone lengths. The limiter moves
-    towards the map's joint positions within the limits. While the input cannot be followed, it brakes and
-    holds the joints; afterwards they follow again at a growing speed limit.
+    person's bone lengths. The limiter moves towards the map's joint positions within the limits. While the
+    input cannot be followed, it brakes and holds the joints; afterwards they follow again at a growing speed
+    limit.
 
     Joint targets appear `latency` after their keypoints. A retargeter that takes longer than the period is
     called again as soon as it is done, with the latest keypoints.
@@ -226,9 +226,8 @@ class RetargetingSystem(PythonSystem):
         limits = np.stack([self._limits.lower, self._limits.upper], axis=1)
         differences = np.abs(expected - limits).max(axis=1)
         leaders = {c.follows for hand in _known_hands(retarget) for c in hand.followers}
-        is_leader = np.isin(self.joint_names, sorted(leaders))
         beyond = np.maximum(limits[:, 0] - expected[:, 0], expected[:, 1] - limits[:, 1])
-        differences = np.where(is_leader, beyond, differences)
+        differences = np.where(np.isin(self.joint_names, sorted(leaders)), beyond, differences)
         if differences.max() > _SAME_LIMITS:
             worst = int(differences.argmax())
             (low, high), (model_low, model_high) = expected[worst], limits[worst]

@@ -270,9 +270,8 @@ def rise(m: Moment) -> RigidTransform | None:
 def _is_too_low(m: Moment) -> bool:
     """Whether the hand is seen lower than it was to rise, and may rise once more."""
     short = (m.recall("X_WB_lifted").translation() - m.percept.X_WB.translation())[2]
-    return (
-        bool(short > m.tolerance(m.config.lift_tolerance)) and m.memory.movements < m.config.max_corrections
-    )
+    may_rise = m.memory.movements < m.config.max_corrections
+    return may_rise and bool(short > m.tolerance(m.config.lift_tolerance))
 
 
 def _to_place(m: Moment) -> RigidTransform:
