@@ -97,7 +97,7 @@ def test_methods_objects_people_and_conditions_can_be_added(copy):
     added = ["--methods", "anyteleop", "anyteleop", "--objects", "sphere", "--trials", "1"]
     assert run(copy, *added) == 0
     more = ["--methods", "hold", "--trials", "1", "--persons", "0", "3", "--vary"]
-    assert run(copy, *more, "operator.visual_delay=0,0.18", "hand_stiffness_factor=2.0") == 0
+    assert run(copy, *more, "operator.visual_delay=0,0.18", "object.mass_factor=2.0") == 0
     after = rows_of(copy)
     new = [each for each in after if each not in before]
     assert list(after)[:4] == list(before)
@@ -105,7 +105,7 @@ def test_methods_objects_people_and_conditions_can_be_added(copy):
         key("anyteleop", 0, "sphere"),
         key("hold", 0)._replace(person=3),
         key("hold", 0, condition="operator.visual_delay=0"),
-        key("hold", 0, condition="hand_stiffness_factor=2.0"),
+        key("hold", 0, condition="object.mass_factor=2.0"),
     ]
     settings = read_settings(copy)
     assert list(settings.methods) == ["hold", "affine_ik", "anyteleop"]
@@ -113,7 +113,7 @@ def test_methods_objects_people_and_conditions_can_be_added(copy):
     assert settings.methods["hold"]["latency_s"] == 0.0123
     report = (copy / "report.md").read_text()
     assert "## grasp, servo people, operator.visual_delay=0" in report
-    assert "hold, hand_stiffness_factor=2.0<" in (copy / "success.svg").read_text()
+    assert "hold, object.mass_factor=2.0<" in (copy / "success.svg").read_text()
 
 
 def test_a_field_of_the_scenario_is_varied_by_its_name():

@@ -83,7 +83,7 @@ def test_contacts_lie_on_the_surface_and_point_inwards(name):
 def test_contacts_of_adjacent_fingers_can_be_as_close_as_the_fingers(name):
     """The thumb's stays where it is."""
     thing, grip = ObjectAlone(name), grip_of(name)
-    usual, close = (grip_contacts(thing.shape, 0.0, 0.5, grip, spacing=spacing) for spacing in (None, 0.02))
+    usual, close = (grip_contacts(thing.shape, 0.0, 0.5, grip, spacing=gap) for gap in (math.inf, 0.02))
     np.testing.assert_allclose(usual[0].p_OC, close[0].p_OC, atol=1e-12)
     for contact, after in itertools.pairwise(close[1 : len(GRIPS[grip])]):
         assert np.linalg.norm(contact.p_OC - after.p_OC) == pytest.approx(0.02, abs=2e-3)

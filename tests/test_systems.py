@@ -301,21 +301,19 @@ def test_clutch_moves_the_hand_by_what_the_wrist_moved_and_survives_a_gap():
         np.testing.assert_allclose(at(far, valid, held).GetAsMatrix4(), held.GetAsMatrix4(), atol=1e-12)
 
 
-def judged(heights, contacts, repeats=10, x=None, hand_heights=None, palm=None, **settings):
-    """Feeds each height, contact vector, place x, hand and palm's force `repeats` times; the outcome."""
+def judged(heights, contacts, x=None, palm=None):
+    """Feeds each height, contact vector, place x and palm's force ten times; the outcome."""
     links = ["a", "b", "palm"]
-    judge = judgement(GraspSettings(**settings), links, [], lambda X_WO: X_WO.translation()[2] - 0.02, 0.1)
-    outcome, tilted = Outcome(), RotationMatrix.MakeXRotation(1.0)
+    judge = judgement(GraspSettings(), links, [], lambda X_WO: X_WO.translation()[2] - 0.02, 0.1)
+    outcome = Outcome()
     for step, (height, contact) in enumerate(zip(heights, contacts, strict=True)):
-        above = height if hand_heights is None else hand_heights[step]
         seen = {
             "object_pose": pose_to_vector(RigidTransform([0.5 if x is None else x[step], 0, 0.12 + height])),
-            "hand_pose": pose_to_vector(RigidTransform(tilted, [0.4, 0.1, 0.3 + above])),
             "contact": np.array(contact, float),
             "link_contact": np.array([*contact, 0.0 if palm is None else palm[step]]),
         }
-        for repeat in range(repeats):
-            outcome = judge(outcome.replace(t=PERIOD * (repeats * step + repeat)), seen)
+        for repeat in range(10):
+            outcome = judge(outcome.replace(t=PERIOD * (10 * step + repeat)), seen)
             if outcome.over:
                 return outcome
     return outcome
@@ -345,7 +343,7 @@ def test_the_judge_does_not_count_a_dropped_or_thrown_object():
     heights = [0, 0.05, 0.12, 0.0, 0.12] + [0.11] * 10
     contacts = [[1, 1], [9, 1], [1, 1], [0, 0], [1, 1]] + [[1, 1]] * 10
     outcome = judged(heights, contacts)
-    assert outcome.metrics["drops"] == 1 and np.isclose(outcome.memory["held_since"], 0.4)
+    assert np.isclose(outcome.memory["held_since"], 0.4)
     assert outcome.metrics["peak_height"] == pytest.approx(0.12)
     fallen = judged([0, 0, -0.1, 0.2], [[1, 0], [0, 0], [0, 0], [1, 1]])
     assert fallen.phase == GraspPhase.THROWN and fallen.over and not fallen.success
@@ -363,30 +361,3 @@ def test_the_judge_ends_when_the_object_strays_out_of_the_hand():
     assert carried.phase == GraspPhase.LIFT
     flying = judged([0.0, 0.15, 0.15], [[1, 1], [0, 0], [1, 0]])
     assert list(flying.metrics["phase_times"]) == ["GRASP", "REACH", "TOUCH"]
-
-
-def test_the_judge_measures_the_slip_of_the_last_lift():
-    """The object's way in the hand counts from where its lift began, and a new lift begins at zero."""
-    heights, touched = [0.0, 0.02, 0.05, 0.06], [[1, 1]] * 4
-    assert judged(heights, touched).metrics["slip"] == pytest.approx(0, abs=1e-12)
-    assert judged(heights, touched, hand_heights=[0, 0.02, 0.06, 0.064]).metrics["slip"] == pytest.approx(
-        0.01
-    )
-    more, touched_again = [*heights, 0.0, 0.02, 0.05], [*touched, [0, 0], [1, 1], [1, 1]]
-    again = judged(more, touched_again, hand_heights=[0, 0.02, 0.09] + [0] * 4)
-    assert again.metrics["slip"] == pytest.approx(0.03)
-    assert judged([0.0, 0.0], [[1, 1]] * 2).metrics["slip"] is None
-
-
-@pytest.mark.parametrize(("loose", "drops"), [(10, 0), (11, 1)])
-def test_the_judge_takes_no_short_loss_of_contact_for_a_drop(loose, drops):
-    """Aloft, fewer than two fingers for 0.1 s are one drop; the slip goes on through a shorter loss."""
-    heights = [0.0] + [0.05] * (20 + loose)
-    touched = [[1, 1]] * 11 + [[1, 0]] * loose + [[1, 1]] * 10
-    # The hand moves by 10 mm before the loss and by 5 mm after it.
-    hands = [0.05] * 6 + [0.06] * (5 + loose) + [0.065] * 10
-    outcome = judged(heights, touched, repeats=1, hand_heights=hands)
-    assert outcome.metrics["drops"] == drops
-    assert outcome.metrics["slip"] == pytest.approx(0.0 if drops else 0.015)
-    longer = judged(heights, touched, repeats=1, hand_heights=hands, drop_time=0.5)
-    assert longer.metrics["drops"] == 0

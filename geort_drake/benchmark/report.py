@@ -87,19 +87,13 @@ class Report:
         }
 
 
-def read_report(folder: Path) -> Report:
-    """Computes the figures of the finished trials in a benchmark's folder."""
-    settings = read_settings(folder)
-    rows = read_rows(folder / TRIALS)
+def write_report(folder: Path) -> Report:
+    """Writes the report of the finished trials in a benchmark's folder, and returns its figures."""
+    settings, rows, links = read_settings(folder), read_rows(folder / TRIALS), []
     frame = frame_of(rows)
     methods = [name for name in settings.methods if rows and name in set(frame["method"])]
     groups = frame.groupby(GROUP, sort=False) if rows else ()
-    return Report(settings, frame, methods, {key: table(each, methods) for key, each in groups})
-
-
-def write_report(folder: Path) -> Report:
-    """Writes the report of the finished trials in a benchmark's folder, and returns its figures."""
-    report, links = read_report(folder), []
+    report = Report(settings, frame, methods, {key: table(each, methods) for key, each in groups})
     for name, title, draw in (
         (SUCCESS, "Success by method, with intervals", _draw_success),
         (COMPLETION, "Fraction of trials completed over time", _draw_completion),
@@ -119,27 +113,21 @@ def markdown_table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> st
     return "\n".join(f"| {' | '.join(line)} |" for line in escaped)
 
 
-def cells(row: Mapping[str, Any]) -> list[str]:
-    """Formats the figures of a method, see `HEADINGS`."""
+def cells(row: Mapping[str, Any]) -> dict[str, str]:
+    """Formats the figures of a method, by heading."""
     p = row["p"]
-    return [
-        row["method"],
-        str(row["trials"]),
-        row["success"].text(),
-        row["first_attempt"].text(),
-        row["score"].text("{:.2f}", 1.0),
-        row["time"].text("{:.1f}", 1.0),
-        row["difference"].text("{:+.0f}"),
-        "–" if np.isnan(p) else f"{row['won']} : {row['lost']}",
-        "–" if np.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}",
-        str(row["unattainable"]),
-    ]
-
-
-HEADINGS = (
-    "method", "trials", "success, %", "first attempt, %", "score", "time, s", "difference", "won : lost", "p",
-    "unattainable",
-)  # fmt: skip
+    return {
+        "method": row["method"],
+        "trials": str(row["trials"]),
+        "success, %": row["success"].text(),
+        "first attempt, %": row["first_attempt"].text(),
+        "score": row["score"].text("{:.2f}", 1.0),
+        "time, s": row["time"].text("{:.1f}", 1.0),
+        "difference": row["difference"].text("{:+.0f}"),
+        "won : lost": "–" if np.isnan(p) else f"{row['won']} : {row['lost']}",
+        "p": "–" if np.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}",
+        "unattainable": str(row["unattainable"]),
+    }
 
 
 def _markdown(report: Report, links: Sequence[str]) -> str:
@@ -154,7 +142,7 @@ def _markdown(report: Report, links: Sequence[str]) -> str:
     for (task, kind, condition), figures in report.tables.items():
         title = f"{task}, {kind} people" + (f", {condition}" if condition else "")
         rows = [cells(row) for row in figures.to_dict("records")]
-        parts += [f"## {title}", markdown_table(HEADINGS, rows)]
+        parts += [f"## {title}", markdown_table(list(rows[0]), [list(row.values()) for row in rows])]
         if not condition:
             parts += _details(report, (task, kind, condition))
     parts += ["## Figures", *links] if links else ["There is no trial with a result yet."]

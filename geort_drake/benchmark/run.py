@@ -28,7 +28,7 @@ from geort_drake.resources import diagrams_dir, models_dir
 from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.train import training_recording
 from geort_drake.simulation.scenario import Scenario, dump_scenario, scenario_fields
-from geort_drake.simulation.scenario_files import check_scenario, load_scenario, merged
+from geort_drake.simulation.scenario_files import check_scenario, load_scenario, merged, scenario_names
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.trial import Trial, TrialBuilder, plan_key
 from geort_drake.versions import git_state, versions
@@ -97,13 +97,9 @@ def read_settings(folder: Path) -> Settings:
 
 
 def read_scenarios(folder: Path) -> dict[Variant, Scenario]:
-    """Reads the scenarios of a benchmark; raises BenchmarkError or ScenarioError if they are unusable."""
+    """Reads the scenarios of a benchmark; raises ScenarioError if they are unusable."""
     path = folder / SCENARIOS
-    try:
-        names = [key.value for key, _ in yaml.compose(path.read_text(encoding="utf-8")).value]
-    except (OSError, yaml.YAMLError, TypeError, ValueError, AttributeError) as error:
-        raise BenchmarkError(f"{path}: not the scenarios of a benchmark: {error}") from error
-    return {Variant(*name.split(" ", 2)): load_scenario(path, name) for name in names}
+    return {Variant(*name.split(" ", 2)): load_scenario(path, name) for name in scenario_names(path)}
 
 
 def vary(scenario: Scenario, texts: Iterable[str]) -> dict[str, Scenario]:
@@ -192,19 +188,14 @@ class Benchmark:
         keys = []
         for number in range(trials):
             for variant, scenario in self.scenarios.items():
-                seed = scenario.random_seed + number
-                for case in self.cases(variant, objects):
+                seed, known = scenario.random_seed + number, find_task(variant.task).cases()
+                for case in [name for name in dict.fromkeys(objects) if name in known] or known:
                     for person in persons if variant.condition == "" else [scenario.person]:
                         for method in methods:
                             trained = is_trained(self.settings.methods[method]["source"])
                             for training in range(self.settings.trainings if trained else 1):
                                 keys.append(TrialKey(method, training, *variant, case, person, seed))
         return keys
-
-    def cases(self, variant: Variant, objects: Sequence[str]) -> list[str]:
-        """Returns the requested cases that a task has, or all of its cases if it has none of those."""
-        cases = find_task(variant.task).cases()
-        return [name for name in dict.fromkeys(objects) if name in cases] or cases
 
     def plan(self, keys: Iterable[TrialKey], jobs: int, backend: str) -> Iterator[str]:
         """Plans the cases of trials in workers; yields the name of each, and settles which are refused."""
@@ -224,10 +215,6 @@ class Benchmark:
                 self._builder.keep_plans(scenario, goals)
             yield case
         self._save()
-
-    def is_refused(self, key: TrialKey) -> bool:
-        """Whether planning showed that the hand cannot do a trial's case."""
-        return f"{key.task} {key.object}" in self.settings.refused
 
     def scenario(self, key: TrialKey) -> Scenario:
         """Returns the scenario of a trial, with its case, person, seed and latency."""

@@ -207,7 +207,7 @@ class Benchmark(Command, ScenarioOptions):
                 pass
             for case, reason in settings.refused.items():
                 warn(f"left out: {case}: {reason}")
-            unfinished = [key for key in unfinished if not benchmark.is_refused(key)]
+            unfinished = [key for key in unfinished if f"{key.task} {key.object}" not in settings.refused]
             rows = benchmark.run(log, unfinished, jobs, backend)
             for _ in track(
                 "simulating", rows, len(unfinished), lambda row: f"{key_of(row)}: {_outcome(row)}"

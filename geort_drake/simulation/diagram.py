@@ -18,12 +18,13 @@ from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.retargeting.base import Retarget
 from geort_drake.simulation.following import add_arm, add_fingers, robot_model
+from geort_drake.simulation.person.engine import Person
 from geort_drake.simulation.person.simulated_operator import SimulatedOperator
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.task import Stage
 from geort_drake.simulation.tasks import find_task
 from geort_drake.simulation.world import actuated_state
-from geort_drake.simulation.worn_glove import WornGlove
+from geort_drake.simulation.worn_glove import WornGlove, WornGloveConfig
 from geort_drake.systems.glove import GloveRecorder, GloveReplay
 from geort_drake.systems.port_values import POINT_MIRROR, POSE_MIRROR, mirrored_pose
 from geort_drake.systems.retargeting_system import RetargetingSystem
@@ -104,7 +105,9 @@ def make_trial_diagram(
         X_WB_seen = mirrored_pose(X_WB_start) if in_mirror else X_WB_start
         noise = np.random.default_rng(int(rng.integers(2**31)))
         intended = human[1].mirrored() if in_mirror else human[1]
-        person = task.person(scenario, human[0], intended, noise)
+        settings = task.placing or task.settings_of(scenario)
+        behaviour = task.phases, scenario.kind, scenario.operator, settings
+        person = Person(human[0], intended, *behaviour, noise, task.begins_straight)
         X_WH_start = RigidTransform(X_WB_seen.rotation(), np.zeros(3))
         sizes = {name: port.size() for name, port in stage.percepts.items()}
         operator = source = builder.AddNamedSystem("operator", SimulatedOperator(person, X_WH_start, sizes))
@@ -117,7 +120,7 @@ def make_trial_diagram(
                 builder.Connect(output, mirror.get_input_port())
                 output = mirror.get_output_port()
             builder.Connect(output, operator.GetInputPort(name))
-    if scenario.glove.faulty:
+    if scenario.glove != WornGloveConfig():
         # A separate generator, so that placement and the person's noise do not depend on the faults.
         faults = np.random.default_rng([scenario.random_seed, 1])
         glove = builder.AddNamedSystem("worn_glove", WornGlove(scenario.glove, scenario.timeout, faults))

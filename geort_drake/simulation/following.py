@@ -1,5 +1,6 @@
 """Models a scenario's robot, and adds the systems by which it follows a human hand."""
 
+import copy
 import dataclasses as dc
 
 import numpy as np
@@ -93,21 +94,18 @@ class RobotModel:
 
 
 # Fields of a scenario that determine its robot; and the robot of this process's last trial.
-_ROBOT_FIELDS = "plant_config", "directives", "hand_parent", "arm_posture", "left_arm_posture"
+ROBOT_FIELDS = "plant_config", "directives", "hand_parent", "arm_posture", "left_arm_posture"
 _last: dict[str, RobotModel] = {}
 
 
 def robot_model(scenario: Scenario, description: HandDescription) -> RobotModel:
     """Returns a model of the scenario's robot: the one of the last call, if the robot is the same."""
-    robot = Scenario(**{name: getattr(scenario, name) for name in _ROBOT_FIELDS})
-    for name in ("max_joint_speed", "max_joint_acceleration"):
-        setattr(robot.retargeting, name, getattr(scenario.retargeting, name))
-    key = repr((robot, description))
+    limits = scenario.retargeting.max_joint_speed, scenario.retargeting.max_joint_acceleration
+    key = repr(([getattr(scenario, name) for name in ROBOT_FIELDS], limits, description))
     if key not in _last:
-        model = RobotModel(robot, description)
+        model = RobotModel(copy.deepcopy(scenario), description)
         _last.clear()
         _last[key] = model
-        return model
     return _last[key]
 
 

@@ -72,24 +72,19 @@ class ObjectShape:
 
 def half_extents(shape: Shape) -> np.ndarray:
     """Returns half the sides (3,) of a primitive's bounding box along its own axes, m."""
-    if isinstance(shape, Box):
-        return shape.size() / 2
-    if isinstance(shape, Cylinder):
-        return np.array([shape.radius(), shape.radius(), shape.length() / 2])
-    if isinstance(shape, Capsule):
-        return np.array([shape.radius(), shape.radius(), shape.length() / 2 + shape.radius()])
-    if isinstance(shape, Ellipsoid):
-        return np.array([shape.a(), shape.b(), shape.c()])
-    return np.full(3, shape.radius())
+    box, disk, ellipsoid = _summands(shape)
+    return box + [disk, disk, 0.0] + ellipsoid
 
 
 def _summands(shape: Shape) -> tuple[np.ndarray, float, np.ndarray]:
     """Returns a box's half sides, a disk's radius and an ellipsoid's half axes whose sum is the shape."""
-    nothing, half = np.zeros(3), half_extents(shape)
+    nothing = np.zeros(3)
     if isinstance(shape, Box):
-        return half, 0.0, nothing
+        return shape.size() / 2, 0.0, nothing
+    if isinstance(shape, Ellipsoid):
+        return nothing, 0.0, np.array([shape.a(), shape.b(), shape.c()])
     if isinstance(shape, Cylinder):
-        return np.array([0.0, 0.0, half[2]]), half[0], nothing
+        return np.array([0.0, 0.0, shape.length() / 2]), shape.radius(), nothing
     if isinstance(shape, Capsule):
         return np.array([0.0, 0.0, shape.length() / 2]), 0.0, np.full(3, shape.radius())
-    return nothing, 0.0, half
+    return nothing, 0.0, np.full(3, shape.radius())

@@ -245,17 +245,6 @@ def _joint_signals(
         torque, names, "torque_share", unit="of limit", page=_TORQUES, limits=(-1.15, 1.15),
         derive=lambda torques: torques / limits,
     )  # fmt: skip
-    fingers: dict[str, list[int]] = {}
-    for number, name in enumerate(names):
-        fingers.setdefault(name.rpartition("/")[0], []).append(number)
-    if "" not in fingers:
-        signals[f"{key}/largest_torque_share"] = SignalSpec(
-            torque, list(fingers), title="largest joint torque", unit="of limit", page=_FINGERS,
-            limits=(-0.05, 1.1), colors=finger_colors(fingers),
-            derive=lambda torques: np.stack(
-                [np.abs(torques / limits)[:, joints].max(axis=1) for joints in fingers.values()], axis=1
-            ),
-        )  # fmt: skip
     return signals
 
 

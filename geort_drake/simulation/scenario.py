@@ -90,8 +90,6 @@ class Scenario:
     hand: str = "allegro_right"
     # Frame to which the hand is welded; the hand's `mount` is relative to it.
     hand_parent: str = "adapter::hand_side"
-    # Factor on the proportional gains of the hand's controllers; damping ratios stay.
-    hand_stiffness_factor: float = 1.0
     # Hydroelastic modulus of the hand's fingertips, Pa, against rigid objects. 1e5 yields like soft rubber,
     # by 2 mm under 1 N at a radius of 12 mm, and friction over the patch keeps an object between two
     # fingertips from turning. 0 selects point contact, which does not. Other values need
@@ -129,15 +127,8 @@ def parse_scenario(text: str) -> Scenario:
 
 
 def scenario_fields(text: str) -> dict:
-    """Returns the fields in the output of `dump_scenario` as plain data, without tags such as !Rpy."""
-    return yaml.load(text, Loader=_Untagged)["Resolved"]
-
-
-class _Untagged(yaml.SafeLoader):
-    """Reads tagged mappings as mappings."""
-
-
-_Untagged.add_multi_constructor("!", lambda loader, _, node: loader.construct_mapping(node, deep=True))
+    """Returns the fields in the output of `dump_scenario` as texts, without tags such as !Rpy."""
+    return yaml.load(text, Loader=yaml.BaseLoader)["Resolved"]
 
 
 def dump_scenario(scenario: Scenario) -> str:

@@ -12,7 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from geort_drake.errors import ScenarioError, UnknownNameError
 from geort_drake.hands.description import load_hand
-from geort_drake.settings import check_fields, fault_of
+from geort_drake.settings import check_fields, fault_of, require_numbers
 from geort_drake.simulation.person.engine import KINDS
 from geort_drake.simulation.scenario import ObjectConfig, Scenario, object_file
 from geort_drake.simulation.tasks import find_task
@@ -31,7 +31,6 @@ _RULES = (
             "retargeting.max_joint_speed",
             "retargeting.max_joint_acceleration",
             "recording_period",
-            "hand_stiffness_factor",
             "object.mass_factor",
             "object.friction_factor",
         ),
@@ -55,7 +54,7 @@ def check_scenario(scenario: Scenario) -> None:
 
     Raises:
         ScenarioError: a field is wrong; the message names it, the rule and the value.
-        UnknownNameError: there is no such object, task or kind of person.
+        UnknownNameError: there is no such object, task, setting of the task or kind of person.
     """
     task = find_task(scenario.task)
     if scenario.kind not in KINDS:
@@ -68,7 +67,7 @@ def check_scenario(scenario: Scenario) -> None:
     is_point = len(position) == 2 and all(map(math.isfinite, position))
     _require(is_point, "object.position", "[x, y] in m", position)
     try:
-        scenario.glove.validate()
+        require_numbers(scenario.glove, "glove", may_be_zero=True)
         scenario.operator.validate()
         scenario.correction.validate()
         scenario.wrist_to_arm.validate()
@@ -150,27 +149,27 @@ def _load(
         scenario = merged(source, None, f"the scenario of task {task}", defaults)
     else:
         default_file, default_name = ("", "Grasp") if isinstance(source, str) else source
-        scenario = _read(Path(file or default_file), name or default_name, defaults)
+        path, name = Path(file or default_file), name or default_name
+        choices = scenario_names(path)
+        if name not in choices:
+            raise UnknownNameError(f"scenario of {path}:", name, choices)
+        scenario = merged(path.read_text(encoding="utf-8"), name, f"scenario '{name}' in {path}", defaults)
     if text:
         scenario = merged(text, None, "the text merged into the scenario", scenario)
     return scenario
 
 
-def _read(path: Path, name: str, defaults: Scenario) -> Scenario:
-    """Reads a scenario by name from a file."""
+def scenario_names(path: Path) -> list[str]:
+    """Returns the names of the scenarios in a file; raises ScenarioError if it is missing or malformed."""
     if not path.is_file():
         raise ScenarioError(f"scenario file {path} does not exist")
     try:
-        text = path.read_text(encoding="utf-8")
-        node = yaml.compose(text, Loader=yaml.SafeLoader)
+        node = yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
         raise ScenarioError(f"scenario file {path} must map names to scenarios: {fault_of(error)}") from error
     if not isinstance(node, yaml.MappingNode):
         raise ScenarioError(f"scenario file {path} must map names to scenarios")
-    choices = [key.value for key, _ in node.value]
-    if name not in choices:
-        raise UnknownNameError(f"scenario of {path}:", name, choices)
-    return merged(text, name, f"scenario '{name}' in {path}", defaults)
+    return [key.value for key, _ in node.value]
 
 
 def merged(text: str, name: str | None, source: str, defaults: Scenario) -> Scenario:

@@ -20,9 +20,8 @@ from pydrake.systems.primitives import ConstantVectorSource
 
 from geort_drake.errors import UnknownNameError
 from geort_drake.hands.description import HandDescription
-from geort_drake.people.synthetic.hand import HumanHand
-from geort_drake.settings import require_numbers
-from geort_drake.simulation.person.engine import Person, Phase
+from geort_drake.settings import check_names, require_numbers
+from geort_drake.simulation.person.engine import Phase
 from geort_drake.simulation.person.goal import Goal
 from geort_drake.simulation.scenario import Scenario
 from geort_drake.simulation.world import ARM, HAND, add_robot, finalize, joint_state
@@ -113,7 +112,6 @@ class Judge(PythonSystem):
         contact (F): force between each finger and the object, N.
         self_contact (1): above 0 while links of the hand touch each other.
         object_pose (7): X_WO, qw qx qy qz x y z.
-        hand_pose (7): X_WB of the robot's hand base.
         link_contact (L): force between each link of the hand and the object, N.
         joints (2K): positions, then velocities of the object's joints; only if it has any.
     Output ports:
@@ -131,7 +129,7 @@ class Judge(PythonSystem):
         super().__init__()
         self._judgement = handled.judgement
         num_joints, X_WP = len(handled.joints), handled.X_WP
-        sizes = {"contact": num_fingers, "self_contact": 1, "object_pose": 7, "hand_pose": 7}
+        sizes = {"contact": num_fingers, "self_contact": 1, "object_pose": 7}
         sizes |= {"link_contact": num_links, "joints": 2 * num_joints}
         self._inputs = {name: self.DeclareVectorInputPort(name, size) for name, size in sizes.items() if size}
         state = self.DeclareAbstractState(AbstractValue.Make(Outcome()))
@@ -243,6 +241,11 @@ class Stage:
         self.judge.restart(self.judge.GetMyMutableContextFromRoot(root))
 
 
+@dc.dataclass(frozen=True)
+class NoSettings:
+    """The settings of a task without any."""
+
+
 @dc.dataclass(eq=False)
 class Task:
     """A task; each module of `tasks` defines one named `TASK`.
@@ -257,7 +260,7 @@ class Task:
         phases: the person's behaviour.
         percepts: ports of the judge that the person perceives besides those of the view.
         objects: objects to choose from, one per trial; empty for a task without a choice.
-        settings: dataclass of positive numbers for the scenario's `task_settings`; None for a task without.
+        settings: dataclass of positive numbers for the scenario's `task_settings`.
         placing: how the person places the object, if they do, with `hover` and `upright` of a `Transfer`.
         begins_straight: whether the person's fingers are straight at first, because bent ones would collide.
     """
@@ -270,7 +273,7 @@ class Task:
     phases: tuple[Phase, ...]
     percepts: tuple[str, ...] = ()
     objects: Sequence[str] = ()
-    settings: type | None = None
+    settings: type = NoSettings
     placing: Any = None
     begins_straight: bool = False
 
@@ -289,31 +292,14 @@ class Task:
         """Returns the case of a scenario."""
         return scenario.object.name if self.objects else self.name
 
-    def person(self, scenario: Scenario, hand: HumanHand, goal: Goal, rng: np.random.Generator) -> Person:
-        """Returns a person who perceives the ports of `Stage.percepts`.
-
-        Args:
-            goal: mirrored for a left robot hand.
-            rng: draws the noise of perception and motion.
-        """
-        settings = self.placing or self.settings_of(scenario)
-        return Person(
-            hand, goal, self.phases, scenario.kind, scenario.operator, settings, rng, self.begins_straight
-        )
-
     def settings_of(self, scenario: Scenario) -> Any:
-        """Returns the settings of a scenario; None for a task without.
+        """Returns the settings of a scenario.
 
         Raises:
-            ValueError: a setting is unknown or out of range.
+            UnknownNameError: there is no such setting.
+            ValueError: a setting is out of range.
         """
-        names = [] if self.settings is None else [field.name for field in dc.fields(self.settings)]
-        for name in scenario.task_settings:
-            if name not in names:
-                choices = f"the settings are: {', '.join(names)}" if names else f"{self.name} has no settings"
-                raise ValueError(f"task_settings has no '{name}'; {choices}")
-        if self.settings is None:
-            return None
+        check_names(scenario.task_settings, self.settings, f"task {self.name}")
         settings = self.settings(**scenario.task_settings)
         require_numbers(settings, "task_settings")
         return settings

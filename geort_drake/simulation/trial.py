@@ -25,6 +25,7 @@ from geort_drake.people.synthetic.population import sample_person
 from geort_drake.retargeting.base import Retarget, forget
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.simulation.diagram import TrialDiagram, make_trial_diagram
+from geort_drake.simulation.following import ROBOT_FIELDS
 from geort_drake.simulation.person.goal import Goal, Intended
 from geort_drake.simulation.person.perception import FreePlay
 from geort_drake.simulation.scenario import Scenario, dump_scenario, parse_scenario
@@ -37,17 +38,7 @@ PLAY_DURATION, PLAY_RATE = 30.0, 30.0  # s, frames per second
 # compared on that of seed 1000.
 _POPULATION = 2000
 # Fields of a scenario on which plans depend.
-_PLAN_FIELDS = (
-    "task",
-    "task_settings",
-    "plant_config",
-    "directives",
-    "hand",
-    "hand_parent",
-    "arm_posture",
-    "left_arm_posture",
-    "object",
-)
+_PLAN_FIELDS = (*ROBOT_FIELDS, "task", "task_settings", "hand", "object")
 
 
 @functools.lru_cache(maxsize=32)  # a solid hand takes seconds, for each function and method

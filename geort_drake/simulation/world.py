@@ -1,6 +1,5 @@
 """Loads a scenario's robot, surroundings and object into a plant."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -20,12 +19,12 @@ from pydrake.multibody.parsing import (
     ProcessModelDirectives,
 )
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import Joint, ModelInstanceIndex, PdControllerGains, RigidBody
+from pydrake.multibody.tree import Joint, ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import MatrixGain
 
 from geort_drake.errors import HandError, ScenarioError, naming
-from geort_drake.hands.assembly import HandInPlant, add_hand_model, add_models
+from geort_drake.hands.assembly import HandInPlant, add_hand_model, add_models, joint_paths
 from geort_drake.hands.description import HandDescription
 from geort_drake.resources import PACKAGE_NAME, resource_root
 from geort_drake.simulation.object_shape import ObjectShape
@@ -78,7 +77,6 @@ def finalize(
         HandError: an actuator of arm or hand has no PD gains.
     """
     hand = plant.GetModelInstanceByName(HAND)
-    _scale_stiffness(plant, hand, scenario.hand_stiffness_factor)
     for model in map(ModelInstanceIndex, range(plant.num_model_instances())):
         if model != free:
             plant.set_gravity_enabled(model, False)
@@ -171,16 +169,13 @@ def _mount_hand(plant: MultibodyPlant, scenario: Scenario, description: HandDesc
     except RuntimeError as error:
         raise ScenarioError(f"scenario field hand_parent: {error}") from error
     hand = add_hand_model(plant, description, HAND)
-    _require_masses(plant, hand, description)
+    parts, mount = HandInPlant(plant, description, hand), description.mount
     with naming(f"hand '{description.name}'", HandError):
-        limits = HandInPlant(plant, description, hand).position_limits()
+        _require_masses(parts)
+        limits = parts.position_limits()
+        child = parts.frame(mount.frame or description.base_frame, "mount.frame")
     for name, lower, upper in zip(description.joint_names, *limits, strict=True):
         plant.GetJointByName(name, hand).set_position_limits([lower], [upper])
-    mount = description.mount
-    try:
-        child = plant.GetFrameByName(mount.frame or description.base_frame, hand)
-    except RuntimeError as error:
-        raise HandError(f"hand '{description.name}': mount.frame: {error}") from error
     X_PM = RigidTransform(RollPitchYaw(np.deg2rad(mount.rpy_deg)), mount.translation)
     plant.WeldFrames(parent, child, X_PM)
 
@@ -240,32 +235,17 @@ def _on_lattice(shape: Convex | Mesh, name: str) -> Convex:
     return Convex(spacing * np.unique(np.round(vertices / spacing), axis=0).T, name)
 
 
-def _scale_stiffness(plant: MultibodyPlant, model: ModelInstanceIndex, factor: float) -> None:
-    """Multiplies a model's proportional gains and keeps its damping ratios; the plant is not finalized."""
-    # Only a finalized plant can list the actuators of one model.
-    for index in plant.GetJointActuatorIndices():
-        actuator = plant.get_joint_actuator(index)
-        if actuator.model_instance() == model and actuator.has_controller():
-            gains = actuator.get_controller_gains()
-            actuator.set_controller_gains(
-                PdControllerGains(p=factor * gains.p, d=math.sqrt(factor) * gains.d)
-            )
-
-
-def _require_masses(plant: MultibodyPlant, hand: ModelInstanceIndex, description: HandDescription) -> None:
+def _require_masses(hand: HandInPlant) -> None:
     """Raises HandError if a joint of the hand moves no mass; the plant is not finalized."""
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices(hand)]
-
-    def moved_mass(joint: Joint) -> float:
-        link = joint.child_body()
-        outer = (other for other in joints if other.parent_body().index() == link.index())
-        return link.default_mass() + sum(map(moved_mass, outer))
-
-    idle = [joint.name() for joint in joints if joint.num_velocities() and not moved_mass(joint) > 0]
+    moved_mass = {joint.name(): 0.0 for joint in hand.joints if joint.num_velocities()}
+    for link, path in joint_paths(hand.plant, hand.instance).items():
+        for name in moved_mass.keys() & {joint.name() for joint in path}:
+            moved_mass[name] += hand.plant.get_body(link).default_mass()
+    idle = [name for name, mass in moved_mass.items() if not mass > 0]
     if idle:
         raise HandError(
-            f"hand '{description.name}': joints that move no mass cannot be simulated: {', '.join(idle)}; "
-            f"give their links inertia in {description.model}"
+            f"joints that move no mass cannot be simulated: {', '.join(idle)}; give their links inertia in "
+            f"{hand.description.model}"
         )
 
 

@@ -9,7 +9,6 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import BasicVector, Context
 from scipy.spatial.transform import Rotation
 
-from geort_drake.settings import require_numbers
 from geort_drake.systems.python_system import PythonSystem
 
 
@@ -26,15 +25,6 @@ class WornGloveConfig:
     # Gaps in which the hand is lost: mean number per second, and duration, s.
     dropout_rate: float = 0.0
     dropout_time: float = 0.04
-
-    @property
-    def faulty(self) -> bool:
-        """Whether there is any fault."""
-        return any((self.misalignment, self.shift, self.turn, self.dropout_rate))
-
-    def validate(self) -> None:
-        """Raises ValueError for a value out of range."""
-        require_numbers(self, "glove", may_be_zero=True)
 
 
 class WornGlove(PythonSystem):

@@ -77,7 +77,7 @@ def grip_contacts(
     grip: str = "tripod",
     side: str = "right",
     offset: float = _OFFSETS[0],
-    spacing: float | None = None,
+    spacing: float = math.inf,
 ) -> list[Contact]:
     """Returns the contacts of a grip on the object's main part; that of the palm is the last one.
 
@@ -88,36 +88,23 @@ def grip_contacts(
         side: "left" or "right", of the hand.
         offset: one of `finger_offsets`, m.
         spacing: distance between contacts of adjacent fingers, m, for fingers that cannot spread as far as
-            the grip defines; None for the grip's own.
+            the grip defines.
     """
     bottom, top = vertical_extent(shape)
     z = bottom + height * (top - bottom)
-    step, widest = _vertical_step(spacing), math.pi / 2
-    if spacing is not None and grip != PALM_GRIP:
+    step, widest = min(spacing, _MAX_STEP), math.pi / 2
+    if math.isfinite(spacing) and grip != PALM_GRIP:
         offset = spacing / 2
         widest = math.asin(min(offset / half_extents(shape.main[0])[0], 1.0))
-    contacts = [
-        _contact(shape, finger, yaw, _turned(_narrow(angle, widest), side), z + level * step, offset)
-        for finger, (angle, level) in GRIPS[grip].items()
-    ]
+    sign = -1.0 if side == "left" else 1.0
+    contacts = []
+    for finger, (angle, level) in GRIPS[grip].items():
+        is_thumb = abs(angle) > math.pi / 2
+        turn = angle if is_thumb else float(np.clip(angle, -widest, widest))
+        contacts.append(_contact(shape, finger, yaw, sign * turn, z + level * step, offset))
     if grip == PALM_GRIP:
-        contacts.append(_contact(shape, "palm", yaw + _turned(-math.pi / 2, side), 0.0, z, offset=0.0))
+        contacts.append(_contact(shape, "palm", yaw - sign * math.pi / 2, 0.0, z, offset=0.0))
     return contacts
-
-
-def _vertical_step(spacing: float | None) -> float:
-    """Returns the height of a finger's contact above the next finger's in a power grasp, m."""
-    return _MAX_STEP if spacing is None else min(spacing, _MAX_STEP)
-
-
-def _narrow(angle: float, widest: float) -> float:
-    """Returns a finger's angle clipped to ±`widest`; a thumb's angle is kept; rad."""
-    return angle if abs(angle) > math.pi / 2 else float(np.clip(angle, -widest, widest))
-
-
-def _turned(angle: float, side: str) -> float:
-    """Converts a right hand's angle about the vertical to a hand of `side`."""
-    return -angle if side == "left" else angle
 
 
 def _contact(shape: ObjectShape, part: str, yaw: float, angle: float, z: float, offset: float) -> Contact:
@@ -137,9 +124,7 @@ def vertical_extent(shape: ObjectShape) -> tuple[float, float]:
     return shape.lowest_point(RigidTransform()), -shape.lowest_point(upside_down)
 
 
-def contact_heights(
-    shape: ObjectShape, grip: str, lowest: float, spacing: float | None = None
-) -> list[float]:
+def contact_heights(shape: ObjectShape, grip: str, lowest: float, spacing: float = math.inf) -> list[float]:
     """Returns heights of the grip to try, best first, as fractions of the object's height.
 
     Just above the middle is best, because the object then hangs from its contacts. If the fingertips do not
@@ -153,7 +138,7 @@ def contact_heights(
         shares = (0.55, 0.4, 0.75)
     bottom, top = vertical_extent(shape)
     centre, half = X_OG.translation()[2], half_extents(main)[2]
-    raised = [level * _vertical_step(spacing) for _, level in GRIPS[grip].values()]
+    raised = [level * min(spacing, _MAX_STEP) for _, level in GRIPS[grip].values()]
     fitting = []
     for share in shares:
         z = bottom + share * (top - bottom)

@@ -6,6 +6,7 @@ arm and hand that reaches them.
 """
 
 import itertools
+import math
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -96,7 +97,7 @@ class GraspPlanner:
         """
         robot = self._kinematics
         offsets = finger_offsets(robot.shape, self._grip)
-        grasps = self._search(robot.q_default, [(offset, None) for offset in offsets], enough)
+        grasps = self._search(robot.q_default, [(offset, math.inf) for offset in offsets], enough)
         if not grasps:
             grasps = self._search(robot.q_middle, [(offsets[0], robot.finger_spacing)], enough)
         if grasps:
@@ -119,7 +120,7 @@ class GraspPlanner:
         )
 
     def _search(
-        self, q_start: np.ndarray, distances: list[tuple[float, float | None]], enough: int
+        self, q_start: np.ndarray, distances: list[tuple[float, float]], enough: int
     ) -> list[tuple[float, list[GraspGoal]]]:
         """Returns up to `enough` grasps with their costs, each with its openings.
 
@@ -194,7 +195,7 @@ class GraspPlanner:
         least = min(max((clearance for *_, clearance in openings), default=0.0), APPROACH_CLEARANCE)
         return [opening for opening in openings if opening[2] >= 0.9 * least]
 
-    def _candidates(self, q_start: np.ndarray, offset: float, spacing: float | None) -> list["_Candidate"]:
+    def _candidates(self, q_start: np.ndarray, offset: float, spacing: float) -> list["_Candidate"]:
         """Returns contacts within reach, the most promising first; for the arguments see `_search`.
 
         They are ranked by inverse kinematics without collisions, which takes a hundredth of the time and

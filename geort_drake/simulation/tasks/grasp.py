@@ -1,9 +1,8 @@
 """The grasp: lift an object and hold it.
 
 Figures of the result: `tip_success`, whether only fingertip links touched the object during the hold;
-`holding`, link → time for which it did, s; `phase_times` and `phase_durations`, phase → time of its first
-entry and time spent in it, s; `drops`, lifts that ended; `slip`, largest displacement of the object in the
-hand during the last lift, m, None without a lift; `peak_height`, m.
+`holding`, link → time for which it did, s; `phase_times`, phase → time of its first entry, s; and
+`peak_height`, m.
 """
 
 import dataclasses as dc
@@ -14,7 +13,6 @@ from collections.abc import Callable, Collection, Sequence
 import numpy as np
 from pydrake.math import RigidTransform
 
-from geort_drake.files import finite_json
 from geort_drake.resources import diagrams_dir, object_names
 from geort_drake.simulation.person.handling import GRASP
 from geort_drake.simulation.plan.grasp import GraspPlanner
@@ -35,10 +33,6 @@ class GraspPhase(enum.IntEnum):
     THROWN = 6  # the object lies off its support, out of reach
 
 
-_LIFTED = (GraspPhase.LIFT, GraspPhase.HOLD, GraspPhase.DONE)
-_TIME_TOLERANCE = 1e-9  # s; sums of periods are rounded
-
-
 @dc.dataclass(frozen=True)
 class GraspSettings:
     """Criteria of a successful grasp."""
@@ -53,8 +47,6 @@ class GraspSettings:
     strayed: float = 0.30
     # Contact force above which a finger touches, N.
     touch_force: float = 0.02
-    # A lifted object was dropped if fewer than two fingers have touched it for this long, s.
-    drop_time: float = 0.1
 
 
 # What each phase says of the moment in which a trial ended.
@@ -106,17 +98,11 @@ def judgement(
     names = np.array(links)
     at_start = {
         "times": {},
-        "durations": {},
         "held_since": math.nan,
         "holding": {},
         "last_touched": GraspPhase.REACH,
-        "drops": 0,
-        "slip": math.nan,
         "peak_height": 0.0,
         "p_WO_start": None,
-        # During a lift, p_BO at its start, and since when fewer than two fingers have touched the object.
-        "p_BO_lifted": None,
-        "loose_since": math.nan,
     }
 
     def judge(previous: Outcome, observation: Observation) -> Outcome:
@@ -141,28 +127,6 @@ def judgement(
             phase = GraspPhase(min(touching, 2))
         memory |= {"held_since": held_since, "holding": holding}
 
-        loose_since = math.nan
-        if phase in _LIFTED:
-            p_BO = vector_to_pose(observation["hand_pose"]).inverse() @ X_WO.translation()
-            if memory["p_BO_lifted"] is None:
-                memory |= {"p_BO_lifted": p_BO, "slip": 0.0}
-            memory["slip"] = max(memory["slip"], float(np.linalg.norm(p_BO - memory["p_BO_lifted"])))
-        elif memory["p_BO_lifted"] is not None:
-            loose_since = memory["loose_since"]
-            if touching < 2 and math.isnan(loose_since):
-                loose_since = t
-            # A short loss of contact is chatter of the contact model, not a drop.
-            if height <= settings.lifted or t - loose_since >= settings.drop_time - _TIME_TOLERANCE:
-                memory |= {"drops": memory["drops"] + 1, "p_BO_lifted": None}
-                loose_since = math.nan
-        memory["loose_since"] = loose_since
-
-        if t > 0:
-            name = GraspPhase(previous.phase).name
-            memory["durations"] = {
-                **memory["durations"],
-                name: memory["durations"].get(name, 0.0) + PERIOD,
-            }
         memory["times"] = {**memory["times"], phase.name: memory["times"].get(phase.name, t)}
         memory["peak_height"] = max(memory["peak_height"], height)
         over = phase in (GraspPhase.DONE, GraspPhase.THROWN)
@@ -185,9 +149,6 @@ def judgement(
                 "tip_success": success and holding.keys() <= set(tip_links),
                 "holding": {link: round(spent, 6) for link, spent in holding.items()},
                 "phase_times": memory["times"],
-                "phase_durations": {name: round(spent, 6) for name, spent in memory["durations"].items()},
-                "drops": memory["drops"],
-                "slip": finite_json(memory["slip"]),
                 "peak_height": memory["peak_height"],
             },
         )

@@ -1,8 +1,7 @@
 """The keys: press the cued one of three without moving the others, with a parked hand.
 
 Figures of the result: `pressed` and `still`, presses in which the cued key went down, and in which the others
-stayed still; means over the presses: `others_travel`, largest travel of another key, m, and `press_time`,
-time until the cued key was down, s, None if none was.
+stayed still.
 """
 
 import dataclasses as dc
@@ -56,12 +55,11 @@ class KeysSettings:
 
 
 class Press(NamedTuple):
-    """One cued press; lengths in m, times in s."""
+    """One cued press; lengths in m."""
 
     key: int
     depth: float = 0.0  # largest travel of the cued key
     others: float = 0.0  # largest travel of another key
-    time: float = math.nan  # time from the cue until the key was down
 
 
 def judgement(settings: KeysSettings, cued: Sequence[int]) -> Judgement:
@@ -80,13 +78,7 @@ def judgement(settings: KeysSettings, cued: Sequence[int]) -> Judgement:
         if not math.isnan(cued_since):
             press, since = presses[-1], t - cued_since
             depth, others = float(travel[press.key]), float(np.delete(travel, press.key).max(initial=0.0))
-            is_down = math.isnan(press.time) and depth > settings.depth
-            press = Press(
-                press.key,
-                max(press.depth, depth),
-                max(press.others, others),
-                since if is_down else press.time,
-            )
+            press = Press(press.key, max(press.depth, depth), max(press.others, others))
             presses = (*presses[:-1], press)
             is_up = travel[press.key] < settings.still
             if since > settings.cue_time - 1e-9 or (press.depth > settings.depth and is_up):
@@ -107,12 +99,7 @@ def judgement(settings: KeysSettings, cued: Sequence[int]) -> Judgement:
             completion_time=t if success else math.nan,
             text="success" if success else faults,
             memory={"next_cue": next_cue, "cued_since": cued_since, "presses": presses},
-            metrics={
-                "pressed": len(pressed),
-                "still": still,
-                "others_travel": float(np.mean([press.others for press in presses])) if presses else 0.0,
-                "press_time": float(np.mean([press.time for press in pressed])) if pressed else None,
-            },
+            metrics={"pressed": len(pressed), "still": still},
         )
 
     return judge
