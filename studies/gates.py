@@ -95,9 +95,10 @@ def run(key: TrialKey, trial: Trial) -> Row:
     return {**key._asdict(), **result, "timeout": trial.scenario.timeout}
 
 
-def tau(*scores: np.ndarray) -> float:
-    """Returns Kendall's tau-a of scores (trials,) of each map, expected best first; 1 if ordered so."""
-    return float(np.mean([np.sign(better - worse) for better, worse in itertools.combinations(scores, 2)]))
+def tau(*scores: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Returns Kendall's tau-a of scores of each map, with trials along an axis, expected best first."""
+    pairs = itertools.combinations(scores, 2)
+    return np.mean([np.sign(better - worse).mean(axis) for better, worse in pairs], axis=0)
 
 
 def ordering(scores: np.ndarray) -> tuple[float, float]:
@@ -107,8 +108,8 @@ def ordering(scores: np.ndarray) -> tuple[float, float]:
     """
     if len(scores) < 2:  # too few for a test
         return np.nan, 1.0
-    options: Any = {"permutation_type": "samples", "alternative": "greater", "rng": 0}
-    return tau(*scores.T), float(permutation_test(scores.T, tau, **options).pvalue)
+    options: Any = {"permutation_type": "samples", "alternative": "greater", "vectorized": True, "rng": 0}
+    return float(tau(*scores.T)), float(permutation_test(scores.T, tau, **options).pvalue)
 
 
 def tests_of(frame: pd.DataFrame) -> pd.DataFrame:
@@ -155,11 +156,21 @@ def report(rows: Iterable[Row]) -> str:
         p = f"**{test.p_holm:.3g}**" if test.revealed else f"{test.p_holm:.2g}"
         names = f"{test.task} | {test.kind} | {test.family} | {test.fault}"
         lines.append(f"| {names} | {test.seeds} | {test.score} | {test.tau:.2f} | {p} |")
-    lines += ["", "| task | kind | families with a revealed fault | speaks |", "|---|---|---|---|"]
+    return "\n".join([*lines, "", verdicts(tests)])
+
+
+def verdicts(tests: pd.DataFrame) -> str:
+    """Returns in Markdown which faults of each family a task reveals, and whether it speaks for a kind."""
+    families = " | ".join(f"`{family}`" for family in FAMILIES)
+    lines = [f"| task | kind | {families} | speaks |", f"|---|---|{'---|' * len(FAMILIES)}---|"]
     for (task, kind), group in tests.groupby(["task", "kind"]):
-        families = sorted(group.loc[group["revealed"], "family"].unique())
-        verdict = "yes" if len(families) >= 2 else "no"
-        lines.append(f"| {task} | {kind} | {', '.join(families) or '–'} | {verdict} |")
+        cells = []
+        for family in FAMILIES:
+            of_family = group[group["family"] == family]
+            revealed = ", ".join(of_family.loc[of_family["revealed"], "fault"])
+            cells.append(revealed or ("none" if len(of_family) else "not tried"))
+        speaks = group.loc[group["revealed"], "family"].nunique() >= 2
+        lines.append(f"| {task} | {kind} | {' | '.join(cells)} | {'yes' if speaks else 'no'} |")
     return "\n".join(lines)
 
 

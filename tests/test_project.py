@@ -115,8 +115,8 @@ def test_a_task_speaks_for_people_to_whom_it_reveals_a_fault_of_two_families():
         keys = gates.next_keys(rows, ["keys"], ["adaptive", "servo"], 4)
     text = gates.report(rows)
     assert "| keys | 2 of 2 | 0 of 2 |" in text
-    assert "| keys | adaptive | affine_ik, universal | yes |" in text
-    assert "| keys | servo | geort | no |" in text
+    assert "| keys | adaptive | shrunk | turned | not tried | yes |" in text
+    assert "| keys | servo | none | none | shrunk | no |" in text
     tried = {(row["kind"], row["method"], row["condition"].partition("=")[0]) for row in rows}
     assert {fault for *who, fault in tried if who == ["adaptive", "affine_ik"]} == {"", "shrunk"}
     assert {fault for *who, fault in tried if who == ["adaptive", "universal"]} == {
