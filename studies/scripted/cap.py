@@ -14,7 +14,9 @@ from geort_drake.systems.python_system import PythonSystem
 from scripted.robot import hand_order, run_script
 
 _START = 2.0  # s, time until the fingers are around the cap
-_MOVES = (1.0, 1.5, 0.7, 1.0)  # s, durations: squeeze, turn, open, return
+_MOVES = (0.5, 1.0, 0.5, 0.5)  # s, durations: squeeze, turn, open, return
+# Fingers are commanded this many times as far as the plan squeezes. Without it, they slip at a step of 5 ms.
+_SQUEEZE = 1.5
 
 
 class ScriptedCap(PythonSystem):
@@ -44,7 +46,7 @@ class ScriptedCap(PythonSystem):
                 held, turned, opened, returned = (
                     minimum_jerk((since - end + move) / move) for end, move in zip(ends, _MOVES, strict=True)
                 )
-                place, squeeze = turned - returned, held - opened
+                place, squeeze = turned - returned, _SQUEEZE * (held - opened)
                 q = at(q_open, place) + squeeze * (at(q_held, place) - at(q_open, place))
             vector.SetFromVector(np.concatenate([q, np.zeros(len(q))]))
 
