@@ -10,12 +10,13 @@ from retargeting_toy import toy_human, toy_kinematics
 from geort_drake.errors import GeortError, HandError, UnknownNameError
 from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.people.synthetic.hand import HumanHand
-from geort_drake.retargeting import METHODS, find_method
+from geort_drake.retargeting import METHODS
 from geort_drake.retargeting.affine_ik import AffineIK
 from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 from geort_drake.retargeting.online import AnyTeleop, DexPilot
 from geort_drake.retargeting.telekinesis import SCALE, TelekinesisConfig
+from geort_drake.retargeting.train import training_config
 
 P_BW = np.array([0.0, 0.0, -0.095])  # of the Allegro: the palm's foot, as dex-retargeting has it
 
@@ -49,7 +50,7 @@ def test_a_reachable_hand_is_reproduced(kinematics):
     q = interior(kinematics, 20, 10)
     p_HF = reachable(kinematics, q)
     online = AnyTeleop(kinematics)
-    rest = online.settle(p_HF, np.clip(q + 0.2, kinematics.lower, kinematics.upper))
+    rest = online.settled_map(p_HF)(p_HF)
     hand = online.kinematics
     error = np.linalg.norm(hand.fingertips(rest) - hand.fingertips(q), axis=-1)
     assert error.max() < 1e-3
@@ -69,7 +70,7 @@ def test_a_projected_pinch_brings_the_tips_together(kinematics):
     tips = {}
     for method in (AnyTeleop, DexPilot):
         online = method(kinematics)
-        tips[method] = online.kinematics.fingertips(online.settle(p_HF))[0]
+        tips[method] = online.kinematics.fingertips(online.settled_map(p_HF)(p_HF))[0]
     distance = {method: np.linalg.norm(p[0] - p[1]) for method, p in tips.items()}
     assert distance[DexPilot] < 0.012
     assert distance[AnyTeleop] > 0.030
@@ -170,7 +171,7 @@ def test_telekinesis_learns_the_scaled_hand(training_seed, reaches):
 
 def test_unknown_names_and_senseless_settings_are_refused(kinematics):
     with pytest.raises(UnknownNameError, match="anyteleop, dexpilot, geort"):
-        find_method("mimic")
+        training_config("mimic")
     with pytest.raises(GeortError, match="recorded frames"):
         METHODS["affine_ik"].fit(kinematics)
     with pytest.raises(HandError, match="needs a thumb"):

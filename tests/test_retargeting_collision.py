@@ -54,7 +54,6 @@ def test_the_gradient_is_that_of_the_gap():
     """Of near pairs, by differences of 10 um; where another vertex or direction takes over, they deviate."""
     hand = Hand("leap_right")
     gaps = CollisionGaps(hand.kinematics(), collision_shapes(hand)).double()
-    gaps._joint_frames.double()
     q = torch.tensor(hand.sample(60, seed=0)).requires_grad_()
     row, pair, gap = gaps.near(q, 0.002)
     (gradient,) = torch.autograd.grad(gap.sum(), q)

@@ -119,9 +119,9 @@ class Train(Command):
         from geort_drake.console import console, print_table
         from geort_drake.errors import GeortError
         from geort_drake.people.synthetic.population import sample_population
+        from geort_drake.retargeting.base import thumb_and_others
         from geort_drake.retargeting.universal.losses import UniversalSettings
         from geort_drake.retargeting.universal.person import UniversalRetargeter
-        from geort_drake.retargeting.universal.train import require_thumb
         from geort_drake.settings import parse_settings
 
         if self.recording is not None:
@@ -130,7 +130,7 @@ class Train(Command):
         settings = dataclasses.replace(UniversalSettings(), **changes)
         settings.validate()
         hand = Hand(self.hand)
-        require_thumb(hand.finger_names)
+        thumb_and_others(hand.finger_names)  # raises HandError
         start = None if self.start is None else load_retargeter(self.start, hand)
         if not isinstance(start, UniversalRetargeter | None):
             raise GeortError(f"--start: {self.start} is no universal map")
@@ -169,7 +169,7 @@ class Train(Command):
             with progress_bar(not self.quiet) as bars:
                 report = bars.losses(f"{hand.description.name}, {stage}")
                 return train_universal(
-                    kinematics, shapes, settings, self.seed, self.device, report, state, start, p_HK
+                    kinematics, shapes, settings, p_HK, self.seed, self.device, report, state, start
                 )
 
         first = output.with_suffix(".first")

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import PINCH_M
-from geort_drake.retargeting.clouds import voxel_centres, voxel_index, voxel_thinned
+from geort_drake.retargeting.clouds import first_in_voxels, voxel_thinned
 
 FingertipMap = Callable[[np.ndarray], np.ndarray]
 COVERAGE_RADII_MM = (5, 10, 15)
@@ -62,7 +62,8 @@ def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | N
 
 def robot_voxels(p_BF: np.ndarray) -> list[np.ndarray]:
     """Returns for each finger the centres of the 3 mm voxels that its samples in p_BF (N, F, 3), m, hit."""
-    return [voxel_centres(p_BF[:, i], ROBOT_VOXEL) for i in range(p_BF.shape[1])]
+    tips = (voxel_thinned(p_BF[:, i], ROBOT_VOXEL) for i in range(p_BF.shape[1]))
+    return [(np.floor(each / ROBOT_VOXEL) + 0.5) * ROBOT_VOXEL for each in tips]
 
 
 def coverage(voxels: Sequence[np.ndarray], tips: Sequence[np.ndarray]) -> dict[str, float]:
@@ -105,8 +106,7 @@ def directions(count: int, rng: np.random.Generator) -> np.ndarray:
 
 def anchor_rows(tips: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Draws rows of tips (T, 3), m, such that every visited 1 mm voxel is equally likely."""
-    _, first = np.unique(voxel_index(tips, HUMAN_VOXEL), axis=0, return_index=True)
-    return rng.choice(first, size=count)
+    return rng.choice(first_in_voxels(tips, HUMAN_VOXEL), size=count)
 
 
 def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:

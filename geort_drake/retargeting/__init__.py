@@ -3,11 +3,9 @@
 `METHODS` lists the methods; `geort_drake.retargeting.store.load_retargeter` loads trained maps.
 """
 
-import importlib
+import pkgutil
 from dataclasses import dataclass
 from typing import Any
-
-from geort_drake.errors import UnknownNameError
 
 
 @dataclass(frozen=True)
@@ -42,17 +40,11 @@ class Method:
         Raises:
             GeortError: the hand or the recording is unsuitable, or the loss is not finite.
         """
-        return _load(self.fitter)(hand, p_HF, **options)
+        return pkgutil.resolve_name(f"{__name__}.{self.fitter}")(hand, p_HF, **options)
 
     def config(self) -> Any:
         """Returns the default settings of the training."""
-        return _load(self.settings)()
-
-
-def _load(path: str) -> Any:
-    """Imports an attribute; some modules need torch."""
-    module, _, name = path.partition(":")
-    return getattr(importlib.import_module(f"{__name__}.{module}"), name)
+        return pkgutil.resolve_name(f"{__name__}.{self.settings}")()
 
 
 METHODS = {
@@ -71,14 +63,3 @@ METHODS = {
     "hold": Method("a constant posture", "affine_ik:Hold"),
 }
 DEFAULT_METHOD = "geort"
-
-
-def find_method(name: str) -> Method:
-    """Returns the method of a name.
-
-    Raises:
-        UnknownNameError: there is none; the message lists the known ones.
-    """
-    if name not in METHODS:
-        raise UnknownNameError("retargeting method", name, METHODS)
-    return METHODS[name]

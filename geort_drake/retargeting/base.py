@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from safetensors.numpy import save
 
-from geort_drake.errors import FrameError, GeortError, MapError, UnknownNameError
+from geort_drake.errors import FrameError, GeortError, HandError, MapError, UnknownNameError
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import BASE_KEYPOINT, KEYPOINT_COUNT, MIDDLE_MCP, TIP_KEYPOINT, WRIST
 
@@ -223,6 +223,18 @@ def _require_wrist_frame(p_HK: np.ndarray) -> None:
             "human points must be those of a right hand in the wrist frame H (origin at the wrist, z to the "
             f"middle knuckle, y to the index side), but {what}; Recording.from_keypoints transforms them"
         )
+
+
+def thumb_and_others(finger_names: Sequence[str]) -> tuple[int, list[int]]:
+    """Returns the number of the thumb and those of the other fingers.
+
+    Raises:
+        HandError: there is no thumb, or no other finger.
+    """
+    names = list(finger_names)
+    if "thumb" not in names or len(names) < 2:
+        raise HandError(f"the hand needs a thumb and another finger, it has {', '.join(names)}")
+    return names.index("thumb"), [number for number, name in enumerate(names) if name != "thumb"]
 
 
 def forget(retarget: Any) -> None:

@@ -5,33 +5,18 @@ import numpy as np
 TRAINED_VOXEL = 0.006  # m; edge of the voxels that thin `Retargeter.trained_points`
 
 
-def voxel_index(points: np.ndarray, size: float) -> np.ndarray:
-    """Returns integer voxel coordinates (N, 3) of points (N, 3); voxel 0 starts at the origin."""
-    return np.floor(np.asarray(points) / size).astype(np.int64)
-
-
 def first_in_voxels(points: np.ndarray, size: float) -> np.ndarray:
-    """Returns ascending rows (M,) of the points (N, 3) that are the first in their voxel of edge `size`."""
-    return np.sort(_first_of_each(voxel_index(points, size)))
+    """Returns the rows (M,) of the points (N, 3) that are first in their voxel of edge `size`, by voxel."""
+    cells = np.floor(np.asarray(points) / size).astype(np.int64)  # voxel 0 starts at the origin
+    cells -= cells.min(axis=0, initial=0)
+    # Numbers of the cells in their bounding box are several times faster than `np.unique` along an axis.
+    numbers = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0, initial=0) + 1))
+    return np.unique(numbers, return_index=True)[1]
 
 
 def voxel_thinned(points: np.ndarray, size: float) -> np.ndarray:
     """Returns the first of the points (N, 3) in each voxel of edge `size` that contains any: (M, 3)."""
-    return np.asarray(points)[first_in_voxels(points, size)]
-
-
-def voxel_centres(points: np.ndarray, size: float) -> np.ndarray:
-    """Returns the centres (M, 3) of the voxels of edge `size` that contain any of the points (N, 3)."""
-    cells = voxel_index(points, size)
-    return (cells[_first_of_each(cells)] + 0.5) * size
-
-
-def _first_of_each(cells: np.ndarray) -> np.ndarray:
-    """Returns the rows (M,) of the first of each distinct cell (N, 3), sorted by the cells' contents."""
-    cells = cells - cells.min(axis=0, initial=0)
-    # Numbers of the cells in their bounding box are several times faster than `np.unique` along an axis.
-    numbers = np.ravel_multi_index(tuple(cells.T), tuple(cells.max(axis=0, initial=0) + 1))
-    return np.unique(numbers, return_index=True)[1]
+    return np.asarray(points)[np.sort(first_in_voxels(points, size))]
 
 
 def trained_points(p_HF: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ import numpy as np
 import torch
 
 from geort_drake.hands.kinematics import CollisionShapes, HandKinematics, lattice_directions
-from geort_drake.retargeting.kinematics import JointFrames, add_buffers
+from geort_drake.retargeting.kinematics import constant
+from geort_drake.retargeting.numpy_kinematics import stacked_chains
 
 _CHUNK = 500  # hands
 _DIRECTIONS = 8  # that are examined of each shape; all 98 find the same overlaps
@@ -25,33 +26,23 @@ class CollisionGaps(torch.nn.Module):
         pairs: (P, 2) numbers of the shapes whose gaps are computed.
     """
 
-    R_JS: torch.Tensor
-    p_JS: torch.Tensor
-    vertices: torch.Tensor
-    radius: torch.Tensor
-    directions: torch.Tensor
-    support: torch.Tensor
-    half_edges: torch.Tensor
-    pairs: torch.Tensor
-    reach: torch.Tensor
-
     def __init__(self, kinematics: HandKinematics, shapes: CollisionShapes):
         super().__init__()
-        self._joint_frames = JointFrames(kinematics)
-        self._frame = [self._joint_frames.number[int(joint)] for joint in shapes.joint]
+        R, p_PJ, K, _, indices, coupling = stacked_chains(kinematics)
+        self.turn, self.offset, self.K, self.K2 = map(constant, (R, p_PJ[..., 0], K, K @ K))
+        self.coupling = constant(coupling[:, indices.ravel()])  # a fixed joint's angle has no effect
+        # Numbers of the shapes' joint frames; the last one is the base B.
+        frames = {joint: frame for frame, joint in enumerate(indices.ravel())} | {-1: indices.size}
+        self._frame = [frames[joint] for joint in shapes.joint]
         directions = lattice_directions()
-        add_buffers(
-            self,
-            R_JS=shapes.X_JS[:, :3, :3],
-            p_JS=shapes.X_JS[:, :3, 3],
-            vertices=shapes.vertices,
-            radius=shapes.radius,
-            directions=directions,
-            support=(shapes.vertices @ directions.T).max(axis=1),
-            half_edges=np.abs(shapes.vertices).max(axis=1),
-            reach=np.linalg.norm(shapes.vertices, axis=2).max(axis=1) + shapes.radius,
-        )
-        self.register_buffer("pairs", torch.tensor(np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)))
+        self.R_JS, self.p_JS = constant(shapes.X_JS[:, :3, :3]), constant(shapes.X_JS[:, :3, 3])
+        self.vertices, self.radius = constant(shapes.vertices), constant(shapes.radius)
+        self.directions = constant(directions)
+        self.support = constant((shapes.vertices @ directions.T).max(axis=1))
+        self.half_edges = constant(np.abs(shapes.vertices).max(axis=1))
+        self.reach = constant(np.linalg.norm(shapes.vertices, axis=2).max(axis=1) + shapes.radius)
+        pairs = np.asarray(shapes.pairs, dtype=int).reshape(-1, 2)
+        self.pairs: torch.Tensor = torch.nn.Buffer(torch.tensor(pairs))
 
     def keep_pairs_that_meet(self, q: torch.Tensor, margin: float) -> None:
         """Drops pairs that never come closer than `margin`, m, at joint angles q (N, n), rad."""
@@ -64,7 +55,17 @@ class CollisionGaps(torch.nn.Module):
 
     def poses(self, q: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Computes R_BS (N, S, 3, 3) and p_BS (N, S, 3), m, of the shapes at joint angles q (N, n), rad."""
-        R_BJ, p_BJ = (each[:, self._frame] for each in self._joint_frames(q))
+        N, (fingers, k) = len(q), self.turn.shape[:2]
+        theta = (q @ self.coupling).reshape(N, fingers, k, 1, 1)
+        eye = torch.eye(3, device=q.device)
+        turned = self.turn @ (eye + torch.sin(theta) * self.K + (1 - torch.cos(theta)) * self.K2)
+        R, p = [turned[:, :, 0]], [self.offset[:, 0].expand(N, -1, -1)]
+        for j in range(1, k):
+            p.append(p[-1] + (R[-1] @ self.offset[:, j, :, None])[..., 0])
+            R.append(R[-1] @ turned[:, :, j])
+        R_BJ = torch.cat([torch.stack(R, dim=2).reshape(N, -1, 3, 3), eye.expand(N, 1, 3, 3)], dim=1)
+        p_BJ = torch.cat([torch.stack(p, dim=2).reshape(N, -1, 3), q.new_zeros(N, 1, 3)], dim=1)
+        R_BJ, p_BJ = R_BJ[:, self._frame], p_BJ[:, self._frame]
         return R_BJ @ self.R_JS, p_BJ + (R_BJ @ self.p_JS[..., None])[..., 0]
 
     def near(self, q: torch.Tensor, margin: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

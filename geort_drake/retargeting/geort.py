@@ -23,7 +23,7 @@ from geort_drake.hands.kinematics import HandKinematics
 from geort_drake.retargeting.base import interface_of, kinematics_of
 from geort_drake.retargeting.clouds import voxel_thinned
 from geort_drake.retargeting.descent import Losses, Report, device_of, minimise, one_thread
-from geort_drake.retargeting.kinematics import add_buffers, fingertips
+from geort_drake.retargeting.kinematics import constant, fingertips
 from geort_drake.retargeting.mlp import MlpRetargeter, output_columns
 
 Tensor = torch.Tensor
@@ -72,11 +72,6 @@ class FingerMlps(nn.Module):
 class RetargetingModel(nn.Module):
     """f(x_H) = [f_1(x_H^1), …, f_F(x_H^F)], each f_i an MLP with tanh that spans the joints' ranges."""
 
-    mean: Tensor
-    scale: Tensor
-    centre: Tensor
-    half_range: Tensor
-
     def __init__(
         self, hand: HandKinematics, clouds: Sequence[np.ndarray], hidden: int, generator: torch.Generator
     ):
@@ -84,13 +79,10 @@ class RetargetingModel(nn.Module):
         widest = max(len(finger.joint_names) for finger in hand.fingers)
         self.mlps = FingerMlps(len(hand.fingers), (3, hidden, hidden, widest), generator)
         self.columns = output_columns(hand)
-        add_buffers(
-            self,
-            mean=np.stack([cloud.mean(0) for cloud in clouds])[:, None],
-            scale=np.maximum(np.stack([cloud.std(0) for cloud in clouds]), 1e-3)[:, None],
-            centre=0.5 * (hand.lower + hand.upper),
-            half_range=0.5 * (hand.upper - hand.lower),
-        )
+        self.mean = constant(np.stack([cloud.mean(0) for cloud in clouds])[:, None])
+        self.scale = constant(np.maximum(np.stack([cloud.std(0) for cloud in clouds]), 1e-3)[:, None])
+        self.centre = constant(0.5 * (hand.lower + hand.upper))
+        self.half_range = constant(0.5 * (hand.upper - hand.lower))
 
     def forward(self, p_HF: Tensor) -> Tensor:
         """Computes joint angles (N, n), rad, of human fingertips (N, F, 3) in the wrist frame, m."""
@@ -116,12 +108,6 @@ class RetargetingModel(nn.Module):
 class NeuralKinematics(nn.Module):
     """FK_i of every finger, an MLP from its joint angles to its fingertip."""
 
-    used: Tensor
-    centre: Tensor
-    half_range: Tensor
-    mean: Tensor
-    scale: Tensor
-
     def __init__(self, hand: HandKinematics, p_BF: Tensor, hidden: int, generator: torch.Generator):
         """Normalises the outputs by samples p_BF (N, F, 3), m."""
         super().__init__()
@@ -129,14 +115,10 @@ class NeuralKinematics(nn.Module):
         # A joint that a finger lacks reads joint 0 and counts zero.
         spare = [widest - len(finger.joint_indices) for finger in hand.fingers]
         self.indices = [[*f.joint_indices, *[0] * k] for f, k in zip(hand.fingers, spare, strict=True)]
-        add_buffers(
-            self,
-            used=np.array([[1.0] * (widest - k) + [0.0] * k for k in spare]),
-            centre=0.5 * (hand.lower + hand.upper),
-            half_range=0.5 * (hand.upper - hand.lower),
-            mean=p_BF.mean(0)[:, None].cpu(),
-            scale=p_BF.std(0).mean().cpu(),
-        )
+        self.used = constant([[1.0] * (widest - k) + [0.0] * k for k in spare])
+        self.centre = constant(0.5 * (hand.lower + hand.upper))
+        self.half_range = constant(0.5 * (hand.upper - hand.lower))
+        self.mean, self.scale = constant(p_BF.mean(0)[:, None].cpu()), constant(p_BF.std(0).mean().cpu())
         self.mlps = FingerMlps(len(hand.fingers), (widest, hidden, hidden, 3), generator)
 
     def forward(self, q: Tensor) -> Tensor:
@@ -147,12 +129,10 @@ class NeuralKinematics(nn.Module):
 class CollisionClassifier(nn.Module):
     """The logit of C(q), the probability that the hand collides with itself at joint angles q."""
 
-    centre: Tensor
-    half_range: Tensor
-
     def __init__(self, hand: HandKinematics, hidden: int, generator: torch.Generator):
         super().__init__()
-        add_buffers(self, centre=0.5 * (hand.lower + hand.upper), half_range=0.5 * (hand.upper - hand.lower))
+        self.centre = constant(0.5 * (hand.lower + hand.upper))
+        self.half_range = constant(0.5 * (hand.upper - hand.lower))
         self.mlp = FingerMlps(1, (len(hand.joint_names), hidden, hidden, 1), generator)
 
     def forward(self, q: Tensor) -> Tensor:

@@ -3,8 +3,6 @@
 This is the counterpart of `HandKinematics` for methods that optimise at run time without torch.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from geort_drake.hands.kinematics import HandKinematics
@@ -12,39 +10,28 @@ from geort_drake.hands.kinematics import HandKinematics
 MIRROR_TOLERANCE_M = 1e-3
 
 
-class StackedChains(NamedTuple):
-    """The constants of F fingers as one batch; fingers with fewer than k joints get fixed ones at their base.
+def stacked_chains(kinematics: HandKinematics) -> tuple[np.ndarray, ...]:
+    """Stacks the constants of F fingers; those with fewer than k joints get fixed ones at their base.
 
-    Attributes:
+    Returns:
         R_PJ, p_PJ: (F, k, 3, 3) and (F, k, 3, 1) poses of the joints in their parents, at zero angle, m.
         K: (F, k, 3, 3) with K x = a × x for the axis a of each joint; zero for a fixed one. By Rodrigues,
             R_PJ Rot(a, θ) = R_PJ + sin θ · R_PJ K + (1 − cos θ) · R_PJ K².
         p_tip: (F, 3, 1) fingertip points in the last joints' moving frames, m.
         indices: (F, k) numbers of the joints among those of `HandKinematics.uncoupled()`; −1 for a fixed one.
-        coupling: (n, N) such that q @ coupling are the angles of these N joints; None without followers.
+        coupling: (n, N) such that q @ coupling are the angles of these N joints.
     """
-
-    R_PJ: np.ndarray
-    p_PJ: np.ndarray
-    K: np.ndarray
-    p_tip: np.ndarray
-    indices: np.ndarray
-    coupling: np.ndarray | None
-
-    @classmethod
-    def of(cls, kinematics: HandKinematics) -> "StackedChains":
-        free, coupling = kinematics.uncoupled()
-        F, k = len(free.fingers), max(len(finger.axes) for finger in free.fingers)
-        X, K, indices = np.tile(np.eye(4), (F, k, 1, 1)), np.zeros((F, k, 3, 3)), np.full((F, k), -1)
-        for row, finger in enumerate(free.fingers):
-            first = k - len(finger.axes)
-            X[row, first:], (x, y, z) = finger.X_PJ, finger.axes.T
-            K[row, first:, 0, 1], K[row, first:, 0, 2], K[row, first:, 1, 2] = -z, y, -x
-            indices[row, first:] = finger.joint_indices
-        K -= np.swapaxes(K, -1, -2)
-        p_tip = np.stack([finger.p_tip for finger in free.fingers])[:, :, None]
-        has_followers = len(coupling) > len(kinematics.joint_names)
-        return cls(X[..., :3, :3], X[..., :3, 3:], K, p_tip, indices, coupling.T if has_followers else None)
+    free, coupling = kinematics.uncoupled()
+    F, k = len(free.fingers), max(len(finger.axes) for finger in free.fingers)
+    X, K, indices = np.tile(np.eye(4), (F, k, 1, 1)), np.zeros((F, k, 3, 3)), np.full((F, k), -1)
+    for row, finger in enumerate(free.fingers):
+        first = k - len(finger.axes)
+        X[row, first:], (x, y, z) = finger.X_PJ, finger.axes.T
+        K[row, first:, 0, 1], K[row, first:, 0, 2], K[row, first:, 1, 2] = -z, y, -x
+        indices[row, first:] = finger.joint_indices
+    K -= np.swapaxes(K, -1, -2)
+    p_tip = np.stack([finger.p_tip for finger in free.fingers])[:, :, None]
+    return X[..., :3, :3], X[..., :3, 3:], K, p_tip, indices, coupling.T
 
 
 class NumpyKinematics:
@@ -52,7 +39,8 @@ class NumpyKinematics:
 
     def __init__(self, kinematics: HandKinematics):
         """Takes the hand's kinematics, from `Hand.kinematics()` for example."""
-        self._R, self._offset, K, self._p_tip, self._indices, self._coupling = StackedChains.of(kinematics)
+        self._R, self._offset, K, self._p_tip, self._indices, coupling = stacked_chains(kinematics)
+        self._coupling = coupling if len(coupling) < coupling.shape[1] else None  # None without followers
         self._RK = self._R @ K
         self._RKK = self._RK @ K
 

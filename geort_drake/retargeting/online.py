@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from geort_drake.errors import HandError
-from geort_drake.retargeting.base import Retargeter, interface_of, kinematics_of
+from geort_drake.retargeting.base import Retargeter, interface_of, kinematics_of, thumb_and_others
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
 SCALE = 1.6  # α, robot over human, from dex-retargeting's settings for the Allegro hand
@@ -84,30 +83,16 @@ class AnyTeleop(Retargeter):
             self._step(frame)
             q.append(self._q)
             projected.append(self._projected)
-        states = np.array(q), np.array(projected)
+        states, switched = np.array(q), np.array(projected)
         tree = cKDTree(frames.reshape(len(frames), -1))
 
         def settled(p_HF: np.ndarray) -> np.ndarray:
             _, nearest = tree.query(p_HF.reshape(len(p_HF), -1))
-            return self.settle(p_HF, *(state[nearest] for state in states))
+            targets, weights, _ = self._targets(p_HF, switched[nearest])
+            # The regularisation towards previous angles vanishes at rest.
+            return self._solve(targets, weights, states[nearest], None)
 
         return settled
-
-    def settle(
-        self, p_HF: np.ndarray, start: np.ndarray | None = None, projected: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Computes the stationary joint angles (N, n), rad, for hands (N, F, 3), m, that are held still.
-
-        `start` (N, n), rad, are initial joint angles, `projected` (N, V) marks projected vectors; both are by
-        default those after `reset`. The regularisation towards previous angles vanishes at rest.
-        """
-        count = len(p_HF)
-        if start is None:
-            start = np.tile(0.5 * (self.lower + self.upper), (count, 1))
-        if projected is None:
-            projected = np.zeros((count, len(self._vectors)), dtype=bool)
-        targets, weights, _ = self._targets(p_HF, projected)
-        return self._solve(targets, weights, start, None)
 
     def _step(self, p_HF: np.ndarray) -> np.ndarray:
         targets, weights, projected = self._targets(p_HF[None], self._projected[None])
@@ -208,12 +193,7 @@ class DexPilot(AnyTeleop):
     huber_delta = 0.03  # m
 
     def _pairs(self) -> list[tuple[int, int]]:
-        if "thumb" not in self.finger_names or len(self.finger_names) < 2:
-            raise HandError(
-                f"DexPilot needs a thumb and another finger, this hand has {', '.join(self.finger_names)}"
-            )
-        thumb = self.finger_names.index("thumb")
-        others = [finger for finger in range(len(self.finger_names)) if finger != thumb]
+        thumb, others = thumb_and_others(self.finger_names)
         pinches = [(thumb, finger) for finger in others]
         between = [(a, b) for k, a in enumerate(others) for b in others[k + 1 :]]
         # For each finger-finger vector, the two thumb-finger vectors that switch its projection.

@@ -4,13 +4,12 @@ Small networks need fewer steps than with Adam. The layers of all fingers are st
 each finger's matrix has its own bases.
 """
 
-import math
-from collections.abc import Iterable
 from typing import Any
 
 import torch
 
 BASIS_BETA = 0.95  # decay of the averages whose eigenvectors are the bases
+EPS = 1e-8  # keeps Adam from dividing by zero
 REFRESH = 10  # steps between updates of the bases
 
 
@@ -21,26 +20,16 @@ class Soap(torch.optim.Optimizer):
     Vectors, such as biases, have none.
     """
 
-    def __init__(
-        self,
-        params: Iterable[torch.Tensor] | Iterable[dict[str, Any]],
-        lr: float,
-        betas: tuple[float, float] = (0.9, 0.99),
-        eps: float = 1e-8,
-        weight_decay: float = 0.01,
-        clip: float = math.inf,
-    ):
-        """Takes parameters, or groups of them with settings that differ from the arguments.
+    def __init__(self, groups: list[dict[str, Any]], lr: float, betas: tuple[float, float], clip: float):
+        """Takes groups of parameters, each with its `weight_decay`, which is decoupled from the gradients.
 
         Args:
             lr: learning rate.
             betas: decay rates of Adam's averages.
-            eps: keeps Adam from dividing by zero.
-            weight_decay: weight decay, decoupled from the gradients.
             clip: largest norm of all gradients together.
         """
-        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps, "weight_decay": weight_decay})
-        self._clip = clip
+        super().__init__(groups, {"lr": lr})
+        self._betas, self._clip = betas, clip
 
     @torch.no_grad()
     def step(self) -> None:  # type: ignore[override]
@@ -50,18 +39,9 @@ class Soap(torch.optim.Optimizer):
         factor = (self._clip / (norm + 1e-6)).clamp(max=1.0)
         for group in self.param_groups:
             for parameter in group["params"]:
-                self._move(parameter, parameter.grad * factor, **group)
+                self._move(parameter, parameter.grad * factor, group["lr"], group["weight_decay"])
 
-    def _move(
-        self,
-        parameter: torch.Tensor,
-        gradient: torch.Tensor,
-        lr: float,
-        betas: tuple[float, float],
-        eps: float,
-        weight_decay: float,
-        **_: Any,
-    ) -> None:
+    def _move(self, parameter: torch.Tensor, gradient: torch.Tensor, lr: float, weight_decay: float) -> None:
         G, state = gradient.reshape(-1, *gradient.shape[-2:]), self.state[parameter]
         if not state:
             state |= {"steps": 0, "mean": torch.zeros_like(G), "variance": torch.zeros_like(G)}
@@ -73,11 +53,11 @@ class Soap(torch.optim.Optimizer):
             return bases[0].mT @ x @ bases[1] if bases else x
 
         state["steps"] += 1
-        first, second = betas
+        first, second = self._betas
         state["mean"].lerp_(G, 1.0 - first)
         rotated = into_bases(G)
         state["variance"].mul_(second).addcmul_(rotated, rotated, value=1.0 - second)
-        deviation = (state["variance"] / (1.0 - second ** state["steps"])).sqrt_().add_(eps)
+        deviation = (state["variance"] / (1.0 - second ** state["steps"])).sqrt_().add_(EPS)
         move = into_bases(state["mean"]) / deviation
         if bases:
             move = bases[0] @ move @ bases[1].mT

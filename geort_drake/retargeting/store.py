@@ -9,7 +9,6 @@ A map is one safetensors file. Its header has an entry "geort_drake" with a JSON
     info             method, config, provenance; of a universal map figures, of others metrics and history
 """
 
-import functools
 import json
 import os
 import warnings
@@ -73,27 +72,12 @@ def fit(hand: Any, p_HF: np.ndarray | None = None, **_options: Any) -> Retargete
     Raises:
         MapError: there is none.
     """
-    name = hand.description.name
-    if name not in shipped_maps():
-        raise MapError(
-            f"no universal map is shipped for {name}, only for {', '.join(shipped_maps()) or 'no hand'}; "
-            "geort-drake train makes one"
-        )
-    return load_retargeter(name, hand)
+    return load_retargeter(hand.description.name, hand)
 
 
 def shipped_maps() -> dict[str, Path]:
-    """Returns the maps shipped with the package: name of the robot hand → file."""
-    return {
-        hand: path
-        for path in sorted((models_dir() / "maps").glob(f"*{SUFFIX}"))
-        for hand in _shipped_hands(path)
-    }
-
-
-@functools.cache
-def _shipped_hands(path: Path) -> tuple[str, ...]:
-    return tuple(_read_header(path)["robot_hands"])
+    """Returns the maps shipped with the package: name of the robot hand → its file, which has this name."""
+    return {path.stem: path for path in sorted((models_dir() / "maps").glob(f"*{SUFFIX}"))}
 
 
 def _read_header(path: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from geort_drake.console import progress_bar, say
-from geort_drake.errors import MapError, TrainingError
+from geort_drake.errors import MapError, TrainingError, UnknownNameError
 from geort_drake.files import locked, require_writable, source_digest
 from geort_drake.people.checks import require_hand
 from geort_drake.people.coverage import describe, finger_motions
@@ -23,7 +23,7 @@ from geort_drake.people.readers import read_recording
 from geort_drake.people.recording import PINCH_M, Recording
 from geort_drake.people.synthetic.play import synthesize_play
 from geort_drake.resources import cache_dir
-from geort_drake.retargeting import DEFAULT_METHOD, find_method
+from geort_drake.retargeting import DEFAULT_METHOD, METHODS
 from geort_drake.retargeting.base import Retargeter
 from geort_drake.retargeting.clouds import trained_points, voxel_thinned
 from geort_drake.retargeting.store import SUFFIX, load_retargeter
@@ -43,10 +43,11 @@ def training_config(method: str, settings: Mapping | None = None) -> Any:
         UnknownNameError: there is no such method or setting; the message lists the known ones.
         TrainingError: the method is not trained, a number is negative or not finite, or a count is 0.
     """
-    entry = find_method(method)
-    if not entry.is_trained:
+    if method not in METHODS:
+        raise UnknownNameError("retargeting method", method, METHODS)
+    if not METHODS[method].is_trained:
         raise TrainingError(f"{method} is not trained on a recording; it needs no map of its own")
-    config = entry.config()
+    config = METHODS[method].config()
     check_names(settings or {}, type(config), method)
     config = dataclasses.replace(config, **(settings or {}))
     for name, value in dataclasses.asdict(config).items():
@@ -99,7 +100,7 @@ def train_map(
     messages += check_fingertips(p_HF, hand.finger_names)
     started = time.perf_counter()
     with progress_bar(show_progress) as bars:
-        retargeter = find_method(method).fit(
+        retargeter = METHODS[method].fit(
             hand, p_HF, seed=seed, config=config, device=device, report=bars.losses("training")
         )
     retargeter.robot_hands = (hand.description.name,)

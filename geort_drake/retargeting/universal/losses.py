@@ -7,7 +7,7 @@ pinches. `UniversalSettings` has the bounds, and all other constants of the trai
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,9 @@ from torch.nn.functional import cosine_similarity
 
 from geort_drake.errors import TrainingError
 from geort_drake.hands.kinematics import HandKinematics
+from geort_drake.retargeting.base import thumb_and_others
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.kinematics import fingertips
-from geort_drake.retargeting.universal.person import thumb_and_others
 
 # Of robot fingertips in contact, in tip radii: their centres are two radii apart.
 TOUCH = 2.0
@@ -182,19 +182,6 @@ class Hands:
         return torch.cat([self.moved, self.after, self.pinching], 1)
 
 
-class DistalDirections:
-    """Computes the unit vectors from each finger's last joint to its tip, in B."""
-
-    def __init__(self, kinematics: HandKinematics):
-        self._last_joints = kinematics.to_last_joints()
-        lengths = [np.linalg.norm(chain.p_tip) for chain in kinematics.fingers]
-        self._lengths = torch.tensor(np.array(lengths)[:, None])
-
-    def __call__(self, q: torch.Tensor, tips: torch.Tensor) -> torch.Tensor:
-        """Returns (..., F, 3) for joint angles q (..., n), rad, and the fingertips (..., F, 3) there, m."""
-        return (tips - fingertips(self._last_joints, q)) / self._lengths.to(tips)
-
-
 class Criteria:
     """Computes the objective and the constraints of a map.
 
@@ -208,7 +195,9 @@ class Criteria:
     def __init__(self, kinematics: HandKinematics, size: torch.Tensor, settings: UniversalSettings):
         self._kinematics, self._settings, self._size = kinematics, settings, size
         self._thumb, self._others = thumb_and_others(kinematics.finger_names)
-        self._directions = DistalDirections(kinematics)
+        self._last_joints = kinematics.to_last_joints()
+        lengths = np.array([np.linalg.norm(chain.p_tip) for chain in kinematics.fingers])
+        self._last_lengths = torch.tensor(lengths[:, None], dtype=torch.float32, device=size.device)
         few = [len(chain.joint_names) < 3 for chain in kinematics.fingers]
         self._few_joints = torch.tensor(few, device=size.device)
 
@@ -233,13 +222,14 @@ class Criteria:
         finger_motion = of_finger(ahead - moved, hands.finger)
         cosine = cosine_similarity(finger_motion, hands.d, dim=-1, eps=1e-7)
         terms = {
-            "direction": _same_figure(_worse_half((1.0 - cosine).mean(1))),
-            "track": _same_figure(_worse_half(self._track(hands, after - before))),
+            "direction": _worse_half((1.0 - cosine).mean(1)),
+            "track": _worse_half(self._track(hands, after - before)),
             "size": self._size_error(finger_motion, cosine, hands),
             **self._pinches(hands, pinching),
             "false_pinch": self._false_pinches(seen, seen_tips),
         }
-        directions = self._directions(q[:, : seen.shape[1]], seen_tips)
+        last_joints = fingertips(self._last_joints, q[:, : seen.shape[1]])
+        directions = (seen_tips - last_joints) / self._last_lengths
         return (1.0 - (directions * hands.directions).sum(-1)).mean(), terms
 
     def _track(self, hands: Hands, answer: torch.Tensor) -> torch.Tensor:
@@ -264,11 +254,9 @@ class Criteria:
         gain = (
             0.5 * torch.log((finger_motion.square().sum(-1) + 1e-10) / hands.d.square().sum(-1)) - reference
         )
-        weight = torch.ones_like(gain)
-        if self._few_joints.any():
-            is_limited = self._few_joints[hands.finger]
-            gain = torch.where(is_limited, gain - torch.log(cosine.clamp(min=settings.least_cosine)), gain)
-            weight = (~is_limited | (cosine > settings.least_cosine)).float()
+        is_limited = self._few_joints[hands.finger]
+        gain = torch.where(is_limited, gain - torch.log(cosine.clamp(min=settings.least_cosine)), gain)
+        weight = (~is_limited | (cosine > settings.least_cosine)).float()
         shortfall = torch.relu(math.log(settings.least_gain) - gain)
         return _mean(shortfall, weight), _mean(shortfall > 0, weight)
 
@@ -333,47 +321,14 @@ class NearCollisions:
         return depth.sum() / (settings.collision_scale_m * len(q))
 
 
-class Multipliers:
-    """One multiplier per constraint figure ≤ bound, adapted by multiplicative dual ascent.
-
-    The figures of batches are noisy, so each is averaged over about fifty batches.
-
-    Attributes:
-        values: multiplier of each constraint.
-        figures: running mean of each figure.
-    """
-
-    def __init__(self, bounds: Mapping[str, float], settings: UniversalSettings):
-        self._bounds, self._settings = dict(bounds), settings
-        self.values = dict.fromkeys(bounds, settings.multiplier_start)
-        self.figures: dict[str, float] = {}
-
-    def update(self, figures: Mapping[str, torch.Tensor]) -> None:
-        """Updates the multipliers from the figures of a batch."""
-        settings = self._settings
-        least, most = settings.multiplier_bounds
-        lowest, highest = settings.violation_bounds
-        for name, figure in figures.items():
-            value = float(figure.detach())
-            mean = self.figures.get(name, value)
-            self.figures[name] = mean = mean + settings.figure_averaging * (value - mean)
-            violation = min(max(mean / self._bounds[name] - 1.0, lowest), highest)
-            rate = settings.collision_rate if name == "collision" else settings.multiplier_rate
-            value = self.values[name] * math.exp(rate * violation)
-            self.values[name] = min(max(value, least), most)
-
-
-def _worse_half(values: torch.Tensor) -> torch.Tensor:
-    """Returns the mean over the half of the people (G,) for whom a figure is worse."""
-    return values.topk((len(values) + 1) // 2).values.mean()
+def _worse_half(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Returns as loss and as figure the mean over the half of the people (G,) for whom it is worse."""
+    mean = values.topk((len(values) + 1) // 2).values.mean()
+    return mean, mean
 
 
 def _mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     return (values * weight).sum() / (weight.sum() + 1e-9)
-
-
-def _same_figure(loss: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    return loss, loss
 
 
 def of_finger(x: torch.Tensor, finger: torch.Tensor) -> torch.Tensor:

@@ -10,8 +10,8 @@ from torch.nn.functional import silu
 
 from geort_drake.errors import TrainingError
 from geort_drake.hands.kinematics import HandKinematics
-from geort_drake.retargeting.base import shape_of
-from geort_drake.retargeting.kinematics import add_buffers
+from geort_drake.retargeting.base import shape_of, thumb_and_others
+from geort_drake.retargeting.kinematics import constant
 from geort_drake.retargeting.mlp import output_columns
 from geort_drake.retargeting.universal.person import (
     MAX_DEVIATION,
@@ -19,7 +19,6 @@ from geort_drake.retargeting.universal.person import (
     STATISTICS,
     WEIGHTS,
     sizes_of,
-    thumb_and_others,
 )
 
 # The other weights are zero at first.
@@ -37,13 +36,6 @@ class UniversalNetwork(nn.Module):
     offsets of the hidden units, from the shape of the hand. All of these precede an activation, so they fold
     into the weights of an ordinary map; see `UniversalRetargeter.for_person`.
     """
-
-    shape_mean: torch.Tensor
-    shape_deviation: torch.Tensor
-    input_mean: torch.Tensor
-    input_scale: torch.Tensor
-    centre: torch.Tensor
-    half_range: torch.Tensor
 
     def __init__(
         self,
@@ -68,15 +60,10 @@ class UniversalNetwork(nn.Module):
         self.columns = output_columns(kinematics)
         self._thumb, self._others = thumb_and_others(kinematics.finger_names)
         x = relative_to_knuckles(p_HF, shapes).flatten(0, 1)
-        add_buffers(
-            self,
-            shape_mean=shapes.mean(0),
-            shape_deviation=shapes.std(0) + 1e-6,
-            input_mean=x.mean(0),
-            input_scale=x.std(0),
-            centre=0.5 * (kinematics.upper + kinematics.lower),
-            half_range=0.5 * (kinematics.upper - kinematics.lower),
-        )
+        self.shape_mean, self.shape_deviation = constant(shapes.mean(0)), constant(shapes.std(0) + 1e-6)
+        self.input_mean, self.input_scale = constant(x.mean(0)), constant(x.std(0))
+        self.centre = constant(0.5 * (kinematics.upper + kinematics.lower))
+        self.half_range = constant(0.5 * (kinematics.upper - kinematics.lower))
 
         h, r, m = widths
         sizes = sizes_of(F) | {"h": h, "k": k, "r": r, "m": m, "outputs": F * k}

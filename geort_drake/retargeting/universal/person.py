@@ -53,12 +53,6 @@ def hand_shape(p_HK: np.ndarray, finger_names: Sequence[str]) -> np.ndarray:
     return np.concatenate([knuckles.ravel(), np.median(bones, axis=0).sum(axis=1)]).astype(np.float32)
 
 
-def thumb_and_others(finger_names: Sequence[str]) -> tuple[int, list[int]]:
-    """Returns the number of the thumb and those of the other fingers."""
-    names = list(finger_names)
-    return names.index("thumb"), [number for number, name in enumerate(names) if name != "thumb"]
-
-
 class UniversalRetargeter(Retargeter):
     """Makes maps from the hands of any person to robot joint angles; needs only NumPy.
 
@@ -117,7 +111,15 @@ class UniversalRetargeter(Retargeter):
             ValueError: points have another shape.
             RecordingError, MismatchError: see `require_wrist_frame_hand`.
         """
-        return hand_shape(self._good_hands(p_HK), self.finger_names)
+        p_HK = np.asarray(p_HK, dtype=float)
+        if p_HK.ndim not in (2, 3) or p_HK.shape[-2:] != (KEYPOINT_COUNT, 3):
+            raise ValueError(
+                f"the hand's shape is measured on whole hands, (T, {KEYPOINT_COUNT}, 3), not on points of "
+                f"shape {p_HK.shape}; {_ALONE}"
+            )
+        require_wrist_frame_hand(p_HK)
+        p_HK = p_HK.reshape(-1, KEYPOINT_COUNT, 3)
+        return hand_shape(p_HK[good_frames(p_HK)], self.finger_names)
 
     def unusual(self, shape: np.ndarray) -> str:
         """Names the part of a hand's shape (4F,), m, that is clamped for being unlike all training; or ""."""
@@ -156,19 +158,6 @@ class UniversalRetargeter(Retargeter):
         result = UniversalRetargeter(*names, mirrored_hand.lower, mirrored_hand.upper, arrays)
         result.info = self.info
         return result
-
-    @staticmethod
-    def _good_hands(p_HK: np.ndarray) -> np.ndarray:
-        """Returns the good frames (T, 21, 3) of hands, which are checked."""
-        p_HK = np.asarray(p_HK, dtype=float)
-        if p_HK.ndim not in (2, 3) or p_HK.shape[-2:] != (KEYPOINT_COUNT, 3):
-            raise ValueError(
-                f"the hand's shape is measured on whole hands, (T, {KEYPOINT_COUNT}, 3), not on points of "
-                f"shape {p_HK.shape}; {_ALONE}"
-            )
-        require_wrist_frame_hand(p_HK)
-        p_HK = p_HK.reshape(-1, KEYPOINT_COUNT, 3)
-        return p_HK[good_frames(p_HK)]
 
     def _folded(self, shape: np.ndarray) -> MlpRetargeter:
         names = self.finger_names, self.joint_names, self.human_keypoints.tolist()

@@ -18,8 +18,7 @@ from geort_drake.files import atomic_path
 from geort_drake.hands.kinematics import CollisionShapes, HandKinematics
 from geort_drake.people.keypoints import FINGER_KEYPOINTS, TIP_KEYPOINT
 from geort_drake.people.recording import PINCH_M
-from geort_drake.people.synthetic.population import sample_population
-from geort_drake.retargeting.base import interface_of
+from geort_drake.retargeting.base import interface_of, thumb_and_others
 from geort_drake.retargeting.clouds import first_in_voxels
 from geort_drake.retargeting.collision import CollisionGaps
 from geort_drake.retargeting.descent import Report, device_of, one_thread
@@ -30,13 +29,12 @@ from geort_drake.retargeting.universal.losses import (
     TOUCH,
     Criteria,
     Hands,
-    Multipliers,
     NearCollisions,
     UniversalSettings,
     of_finger,
 )
 from geort_drake.retargeting.universal.network import UniversalNetwork
-from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_shape, thumb_and_others
+from geort_drake.retargeting.universal.person import UniversalRetargeter, hand_shape
 
 SAVE_EVERY_S = 30.0
 
@@ -66,7 +64,7 @@ class TrainingPeople:
         p_HF, directions = tips_and_directions(p_HK, finger_names)
         anchors = np.zeros((people, len(finger_names), settings.anchors), dtype=int)
         for i, finger in np.ndindex(*anchors.shape[:2]):
-            rows = first_in_voxels(p_HF[i, :, finger], settings.anchor_voxel_m)
+            rows = np.sort(first_in_voxels(p_HF[i, :, finger], settings.anchor_voxel_m))
             anchors[i, finger] = rng.choice(rows, settings.anchors)
         shapes = [[hand_shape(part, finger_names) for part in self._parts(each, rng)] for each in p_HK]
         self._anchors = torch.tensor(anchors, device=device)
@@ -217,14 +215,16 @@ class Training:
         p_HK: np.ndarray,
         seed: int,
         device: torch.device,
+        start: Mapping[str, np.ndarray],
     ):
         names = kinematics.finger_names
         self._generator, rng = torch.Generator().manual_seed(seed), np.random.default_rng(seed)
         self.settings, self.step, self.seconds = settings, 0, 0.0
         postures = torch.tensor(np.linspace(kinematics.lower, kinematics.upper, 5))
         facts = json.dumps([seed, dataclasses.asdict(settings)]).encode(), p_HK.tobytes()
+        weights = [start[name].tobytes() for name in sorted(start)]
         of_hand = fingertips(kinematics, postures).numpy().round(9).tobytes()
-        self._key = hashlib.sha256(b"".join([*facts, of_hand])).hexdigest()
+        self._key = hashlib.sha256(b"".join([*facts, of_hand, *weights])).hexdigest()
         self.people = people = TrainingPeople(p_HK, names, settings, self._generator, rng, device)
         lower, upper = torch.tensor(kinematics.lower).float(), torch.tensor(kinematics.upper).float()
         uniform = torch.rand(settings.robot_samples, len(lower), generator=self._generator)
@@ -239,6 +239,8 @@ class Training:
             (settings.finger_units, settings.residual_units, settings.shape_units),
             self._generator,
         ).to(device)
+        if start:
+            self.network.set_arrays(start)
         size_tensor = torch.tensor(size, dtype=torch.float32, device=device)
         self.criteria = Criteria(kinematics, size_tensor, settings)
         nearest = self.criteria.pair_distances(tips).amin(0)
@@ -246,32 +248,23 @@ class Training:
         gaps = CollisionGaps(kinematics, shapes)
         gaps.keep_pairs_that_meet(q[:4000], settings.collision_margin_m)
         self.collisions = NearCollisions(gaps.to(device), settings, self._generator)
-        self.multipliers = Multipliers({name: getattr(settings, name) for name in CONSTRAINTS}, settings)
+        self._multipliers = dict.fromkeys(CONSTRAINTS, settings.multiplier_start)
+        self._figures: dict[str, float] = {}  # running means
         groups = self.network.groups(settings.weight_decay, settings.shared_weight_decay)
         self._optimiser = Soap(groups, lr=settings.learning_rate, betas=settings.momentum, clip=settings.clip)
         decay = max(1.0 - settings.averages / settings.steps, 0.0)
-        self._average = AveragedModel(
+        self.average = AveragedModel(
             self.network, multi_avg_fn=get_ema_multi_avg_fn(decay**settings.average_every)
         )
         self._posture, self._collided = 1.0, torch.zeros((), device=device)
         # What `save` keeps: states of these parts, and these attributes.
-        self._parts: dict[str, Any] = {
-            "network": self.network,
-            "average": self._average,
-            "optimiser": self._optimiser,
-        }
+        self._parts: list[Any] = [self.network, self.average, self._optimiser]
         self._attributes: list[tuple[Any, str]] = [
             *((self, name) for name in ("step", "seconds", "_posture", "_collided")),
-            (self.multipliers, "values"),
-            (self.multipliers, "figures"),
+            (self, "_multipliers"),
+            (self, "_figures"),
             (self.collisions, "memory"),
         ]
-
-    def start_from(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Sets the weights before the first step."""
-        self.network.set_arrays(arrays)
-        weights = b"".join(arrays[name].tobytes() for name in sorted(arrays))
-        self._key = hashlib.sha256(self._key.encode() + weights).hexdigest()
 
     def advance(self) -> None:
         """Takes one step.
@@ -293,10 +286,10 @@ class Training:
         figures["collision"] = self._collided
         if step % s.collision_every == 0 and (loss := self.collisions.loss(self.network)) is not None:
             losses["collision"] = loss
-        self.multipliers.update(figures)
+        self._update_multipliers(figures)
         first = max(1.0 - step / (s.posture_first_share * s.steps), 0.0)
         total = s.posture_weight * (1.0 + (s.posture_first - 1.0) * first) * posture
-        total = total + sum(self.multipliers.values[name] * loss for name, loss in losses.items())
+        total = total + sum(self._multipliers[name] * loss for name, loss in losses.items())
         if not torch.isfinite(total):
             raise TrainingError(f"the loss stopped being finite at step {step}")
         self._posture += s.figure_averaging * (float(posture.detach()) - self._posture)
@@ -305,23 +298,36 @@ class Training:
         self._optimiser.step()
         self.step += 1
         if 2 * self.step >= s.steps and (s.steps - self.step) % s.average_every == 0:
-            self._average.update_parameters(self.network)
+            self.average.update_parameters(self.network)
         self.seconds += time.perf_counter() - started
+
+    def _update_multipliers(self, figures: Mapping[str, torch.Tensor]) -> None:
+        """Updates the multiplier of each constraint figure ≤ bound by multiplicative dual ascent.
+
+        The figures of batches are noisy, so each is averaged over about fifty batches.
+        """
+        s = self.settings
+        least, most = s.multiplier_bounds
+        lowest, highest = s.violation_bounds
+        for name, figure in figures.items():
+            value = float(figure.detach())
+            mean = self._figures.get(name, value)
+            self._figures[name] = mean = mean + s.figure_averaging * (value - mean)
+            violation = min(max(mean / getattr(s, name) - 1.0, lowest), highest)
+            rate = s.collision_rate if name == "collision" else s.multiplier_rate
+            value = self._multipliers[name] * math.exp(rate * violation)
+            self._multipliers[name] = min(max(value, least), most)
 
     def figures(self) -> dict[str, float]:
         """Returns the running mean of each constraint's figure, and of "posture", 1 − cosine."""
-        return {**self.multipliers.figures, "posture": self._posture}
-
-    def result(self) -> UniversalNetwork:
-        """Returns the network, with averaged weights after the second half of the steps."""
-        return cast(UniversalNetwork, self._average.module) if self._average.n_averaged > 0 else self.network
+        return {**self._figures, "posture": self._posture}
 
     def save(self, path: Path) -> None:
         """Writes the state, atomically."""
         state = {
             "key": self._key,
             "generator": self._generator.get_state(),
-            "parts": {name: part.state_dict() for name, part in self._parts.items()},
+            "parts": [part.state_dict() for part in self._parts],
             "attributes": [getattr(owner, name) for owner, name in self._attributes],
         }
         with atomic_path(path) as draft, open(draft, "wb") as file:
@@ -344,58 +350,45 @@ class Training:
                 "same settings"
             )
         self._generator.set_state(state["generator"].cpu())
-        for name, part in self._parts.items():
-            part.load_state_dict(state["parts"][name])
+        for part, saved in zip(self._parts, state["parts"], strict=True):
+            part.load_state_dict(saved)
         for (owner, name), value in zip(self._attributes, state["attributes"], strict=True):
             setattr(owner, name, value)
-
-
-def require_thumb(finger_names: Sequence[str]) -> None:
-    """Raises TrainingError for a hand without thumb, or without another finger."""
-    if "thumb" not in finger_names or len(finger_names) < 2:
-        raise TrainingError(f"the hand needs a thumb and another finger, it has {', '.join(finger_names)}")
 
 
 def train_universal(
     kinematics: HandKinematics,
     shapes: CollisionShapes,
-    settings: UniversalSettings | None = None,
+    settings: UniversalSettings,
+    p_HK: np.ndarray,
     seed: int = 0,
     device: str = "cpu",
     report: Report | None = None,
     state: Path | None = None,
     start: UniversalRetargeter | None = None,
-    p_HK: np.ndarray | None = None,
 ) -> UniversalRetargeter:
     """Trains a universal map on the population of `geort_drake.people`.
 
     Args:
         kinematics, shapes: kinematics and collision shapes of the robot hand, mirrored for a left hand.
-        settings: settings of the training; None for the defaults.
-        seed: seed of the population, the initial weights and all draws.
+        settings: settings of the training, which are valid.
+        p_HK: (N, T, 21, 3) keypoints of the people, m; see `population.sample_population`.
+        seed: seed of the initial weights and all draws.
         device: "cpu" or "cuda".
         report: called as report(steps done, total steps, figures), about a hundred times.
         state: file from which the training resumes, if it exists, and to which it saves its state about every
             half minute; deleted at the end. The result does not depend on interruptions.
         start: map of the same hand, from whose weights the training starts; None starts from random ones.
-        p_HK: (N, T, 21, 3) keypoints of the people, m; None samples them, which takes minutes.
 
     Returns:
         The map; its `info` has the settings, and the figures and the time of the training.
 
     Raises:
-        TrainingError: a setting is out of range, the hand has no thumb or no other finger, the file is of
-            another training, or the loss is not finite at some step.
+        TrainingError: the file is of another training, or the loss is not finite at some step.
     """
-    settings = settings or UniversalSettings()
-    settings.validate()
-    require_thumb(kinematics.finger_names)
-    if p_HK is None:
-        p_HK = sample_population(settings.people, seed, settings.play_s)
     with one_thread():
-        training = Training(kinematics, shapes, settings, p_HK, seed, device_of(device))
-        if start is not None:
-            training.start_from(start.arrays)
+        weights = {} if start is None else start.arrays
+        training = Training(kinematics, shapes, settings, p_HK, seed, device_of(device), weights)
         if state is not None and state.is_file():
             training.restore(state)
         last_save = time.monotonic()
@@ -408,7 +401,8 @@ def train_universal(
                 training.step % max(settings.steps // 100, 1) == 0 or training.step == settings.steps
             ):
                 report(training.step, settings.steps, training.figures())
-    result = UniversalRetargeter(*interface_of(kinematics), training.result().arrays())
+    network = cast(UniversalNetwork, training.average.module)
+    result = UniversalRetargeter(*interface_of(kinematics), network.arrays())
     result.info = {
         "method": "universal",
         "config": {**dataclasses.asdict(settings), "seed": seed, "device": device},
