@@ -36,7 +36,6 @@ _EXTRAS = {
     "torch": "train",
     "mujoco": "mjcf",
     "onnxruntime": "onnx",
-    "ray": "ray",
     "zmq": "live",
     "msgspec": "live",
     "aiohttp": "live",

@@ -316,7 +316,7 @@ def test_every_method_has_the_scenarios_latency_or_the_measured_one(tmp_path, mo
         scenarios = {Variant("grasp", "servo"): load_scenario(text=text)}
         methods = {"hold": "hold", "anyteleop": "anyteleop"}
         benchmark = Benchmark(tmp_path / name, settings, scenarios, methods)
-        list(benchmark.plan([key("hold", 0)], 1, "loky"))
+        list(benchmark.plan([key("hold", 0)], 1))
         workers.simulate(key("hold", 0), benchmark.trial(key("hold", 0)))
         stored[name] = {method: entry["latency_s"] for method, entry in settings.methods.items()}
     assert stored["measured"]["anyteleop"] > stored["measured"]["hold"] > 0
@@ -360,7 +360,7 @@ def test_a_trial_goes_on_with_the_fixed_map_that_the_person_saw_in_free_play(tmp
     scenarios = {Variant(task, scenario.kind): scenario}
     benchmark = Benchmark(tmp_path, Settings(), scenarios, {"universal": "universal"})
     wanted = benchmark.keys(["universal"], [], [0], 1)[0]
-    list(benchmark.plan([wanted], 1, "loky"))
+    list(benchmark.plan([wanted], 1))
     trial = benchmark.trial(wanted)
     assert not isinstance(trial.retarget, UniversalRetargeter)
     if task != "grasp":

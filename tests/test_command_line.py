@@ -332,11 +332,6 @@ def test_a_folder_without_write_permission_is_refused(refused, monkeypatch, comm
         retargeting_train.cached_map(Hand("allegro_right"), synthesize_play(0, 1.0))
 
 
-def test_a_missing_backend_is_refused_before_planning(refused, monkeypatch):
-    monkeypatch.setitem(sys.modules, "ray.util.joblib.ray_backend", None)
-    refused("benchmark --backend ray", "the backend 'ray' needs Ray: pip install 'geort-drake[ray]'")
-
-
 def test_live_says_before_it_trains_that_this_takes_minutes(tmp_path, inputs, monkeypatch, capsys):
     """A user who waits for a robot to move must know."""
 

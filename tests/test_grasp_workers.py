@@ -1,4 +1,4 @@
-"""A benchmark's workers: processes here and a Ray cluster give the same results as one process."""
+"""A benchmark's workers give the same results as one process."""
 
 import os
 import signal
@@ -47,18 +47,17 @@ def simulated(key: TrialKey, trial: Trial) -> tuple[int, dict]:
     return os.getpid(), judged(simulate(key, trial))
 
 
-def results_of(
-    trials: list[tuple[TrialKey, Trial]], jobs: int, backend: str = "loky"
-) -> tuple[set[int], list[dict]]:
-    """The processes that worked, and the trials' results in their order."""
-    processes, done = zip(*call_in_workers(simulated, trials, jobs, backend), strict=True)
+def results_of(trials: list[tuple[TrialKey, Trial]], jobs: int) -> list[dict]:
+    """The trials' results in their order."""
+    processes, done = zip(*call_in_workers(simulated, trials, jobs), strict=True)
+    assert os.getpid() not in processes
     order = [key for key, _ in trials]
-    return {*processes}, sorted(done, key=lambda result: order.index(key_of(result)))
+    return sorted(done, key=lambda result: order.index(key_of(result)))
 
 
 def test_other_processes_give_the_same_results(short, alone):
     """Bit for bit, also with a method that continues from its last answer."""
-    assert results_of(short, jobs=2)[1] == alone
+    assert results_of(short, jobs=2) == alone
 
 
 @pytest.mark.slow
@@ -68,24 +67,7 @@ def test_other_processes_give_the_same_results_in_contact(short, alone):
     grasp = trial("anyteleop", 0, f"{{timeout: 6.0, {quick}}}")  # the object is touched after 4.3 s
     touched = judged(simulate(*grasp))
     assert {"TOUCH", "GRASP"} <= touched["phase_times"].keys() and touched["peak_force"] > 0.1
-    assert results_of([grasp, *short], jobs=2)[1] == [touched, *alone]
-
-
-@pytest.mark.slow
-def test_a_ray_cluster_gives_the_same_results(short, alone, monkeypatch):
-    """On a local cluster of two workers."""
-    ray = pytest.importorskip("ray")
-    # The workers find the tests' own modules, and this package where it is not installed.
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, _system_config={"worker_niceness": 0})
-    try:
-        processes, results = results_of([*short, short[1]], 2, "ray")
-        assert results == [*alone, alone[1]] and os.getpid() not in processes
-        with pytest.raises(BenchmarkError, match="--jobs 3: the Ray cluster has 2 CPUs"):
-            results_of(short, 3, "ray")
-    finally:
-        ray.shutdown()
+    assert results_of([grasp, *short], jobs=2) == [touched, *alone]
 
 
 def test_a_dead_worker_raises_an_error():

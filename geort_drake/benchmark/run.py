@@ -197,7 +197,7 @@ class Benchmark:
                                 keys.append(TrialKey(method, training, *variant, case, person, seed))
         return keys
 
-    def plan(self, keys: Iterable[TrialKey], jobs: int, backend: str) -> Iterator[str]:
+    def plan(self, keys: Iterable[TrialKey], jobs: int) -> Iterator[str]:
         """Plans the cases of trials in workers; yields the name of each, and settles which are refused."""
         cases: dict[tuple, TrialKey] = {}
         for key in keys:
@@ -206,7 +206,7 @@ class Benchmark:
         if not scenarios:
             return
         arguments = ((text,) for text in scenarios)
-        planned = call_in_workers(plan, arguments, min(jobs, len(scenarios)), backend, ordered=True)
+        planned = call_in_workers(plan, arguments, min(jobs, len(scenarios)), ordered=True)
         for scenario, goals in zip(scenarios.values(), planned, strict=True):
             case = find_task(scenario.task).case_of(scenario)
             if isinstance(goals, str):
@@ -229,7 +229,7 @@ class Benchmark:
         """Returns a planned trial."""
         return self._builder.trial(self.scenario(key), self._maps[key.method, key.training])
 
-    def run(self, log: TrialLog, keys: Sequence[TrialKey], jobs: int, backend: str) -> Iterator[Row]:
+    def run(self, log: TrialLog, keys: Sequence[TrialKey], jobs: int) -> Iterator[Row]:
         """Simulates planned trials in workers; logs and yields each row as its trial ends."""
         for key in keys:
             if key.method in self.problems:
@@ -239,7 +239,7 @@ class Benchmark:
         if not usable:
             return
         trials = ((key, self.trial(key)) for key in usable)
-        for row in call_in_workers(simulate, trials, min(jobs, len(usable)), backend):
+        for row in call_in_workers(simulate, trials, min(jobs, len(usable))):
             log.append(row)
             yield row
 

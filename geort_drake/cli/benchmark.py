@@ -5,7 +5,7 @@ import itertools
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import arg
 
@@ -68,8 +68,6 @@ class Benchmark(Command, ScenarioOptions):
     """small benchmark that takes two to five minutes on two cores"""
     jobs: Annotated[int | None, arg(metavar="N"), COUNT] = None
     """number of parallel trials (default: the number of processors)"""
-    backend: Literal["loky", "ray"] = "loky"
-    """run on this machine (loky) or on a Ray cluster"""
     measure_latency: bool = False
     """simulate every method with the latency that is measured on this machine, instead of the scenario's"""
     recording: Annotated[Path | None, arg(metavar="FILE")] = None
@@ -120,7 +118,6 @@ class Benchmark(Command, ScenarioOptions):
         """
         from geort_drake import Hand
         from geort_drake.benchmark.run import Benchmark, Settings
-        from geort_drake.benchmark.workers import join_cluster
         from geort_drake.methods import methods_for, names_of
         from geort_drake.simulation.tasks import find_task
 
@@ -135,8 +132,6 @@ class Benchmark(Command, ScenarioOptions):
                 raise UnknownNameError("object", name, known_cases)
         hand = Hand(first.hand)
         names = names_of(self.methods or (QUICK_METHODS if self.quick else methods_for(hand)), hand)
-        if self.backend == "ray":
-            join_cluster(self._jobs)
         recording, operator = (
             None if path is None else str(path.resolve()) for path in (self.recording, self.operator)
         )
@@ -189,7 +184,7 @@ class Benchmark(Command, ScenarioOptions):
         from geort_drake.benchmark.log import TrialLog, key_of
         from geort_drake.console import say, track, warn
 
-        settings, jobs, backend = benchmark.settings, self._jobs, self.backend
+        settings, jobs = benchmark.settings, self._jobs
         is_new = not self.submit
         with TrialLog(benchmark.folder) as log:
             keys = benchmark.keys(
@@ -203,12 +198,12 @@ class Benchmark(Command, ScenarioOptions):
             if not unfinished:
                 return
             cases = len({(key[2:5], key.object) for key in unfinished})
-            for _ in track("planning", benchmark.plan(unfinished, jobs, backend), cases, str):
+            for _ in track("planning", benchmark.plan(unfinished, jobs), cases, str):
                 pass
             for case, reason in settings.refused.items():
                 warn(f"left out: {case}: {reason}")
             unfinished = [key for key in unfinished if f"{key.task} {key.object}" not in settings.refused]
-            rows = benchmark.run(log, unfinished, jobs, backend)
+            rows = benchmark.run(log, unfinished, jobs)
             for _ in track(
                 "simulating", rows, len(unfinished), lambda row: f"{key_of(row)}: {_outcome(row)}"
             ):
