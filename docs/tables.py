@@ -419,13 +419,39 @@ def _successes(trials: list[dict[str, str]]) -> int:
 
 def criteria_table() -> str:
     """A Markdown table of what spoiled criteria cost, from docs/results/criteria.csv."""
-    import pandas as pd
-
     sys.path.insert(0, str(ROOT / "studies"))
     from criteria import report
 
-    trials = pd.read_csv(ROOT / "docs" / "results" / "criteria.csv", dtype={"condition": str})
-    return report(trials.fillna({"condition": ""}).to_dict("records"))
+    return report(_rows_of("criteria"))
+
+
+def gates_table() -> str:
+    """A Markdown table of the faults of maps that each task reveals, from docs/results/gates.csv."""
+    sys.path.insert(0, str(ROOT / "studies"))
+    from gates import tests_of, verdicts
+
+    from geort_drake.benchmark.analysis import frame_of
+
+    return verdicts(tests_of(frame_of(_rows_of("gates"))))
+
+
+def scripted_table() -> str:
+    """A Markdown table of the trials of scripted robots and of a still hand, from docs/results/gates.csv."""
+    rows = _rows_of("gates")
+    lines = [f"| | {' | '.join(TASKS)} |", f"|---|{'---|' * len(TASKS)}"]
+    for name, method in (("scripted robot", "scripted"), ("hand that holds still", "hold")):
+        groups = [[row for row in rows if (row["method"], row["task"]) == (method, task)] for task in TASKS]
+        cells = [f"{sum(row['success'] for row in group)} of {len(group)}" for group in groups]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _rows_of(study: str) -> list[dict]:
+    """The rows of a study's trials, from its CSV file in docs/results."""
+    import pandas as pd
+
+    trials = pd.read_csv(ROOT / "docs" / "results" / f"{study}.csv", dtype={"condition": str})
+    return trials.fillna({"condition": ""}).to_dict("records")
 
 
 def _trial_counts(column: str) -> dict[str, dict[str, tuple[int, int]]]:

@@ -119,7 +119,7 @@ def tests_of(frame: pd.DataFrame) -> pd.DataFrame:
     if frame.empty:
         return pd.DataFrame(columns=columns)
     people = frame[frame["error"].isna() & frame["method"].isin(FAMILIES)]
-    for (task, kind, family), group in people.groupby(["task", "kind", "method"]):
+    for (task, kind, family), group in people.groupby(["task", "kind", "method"], sort=False):
         scores = group.pivot(index="seed", columns="condition", values="score")
         for name, sizes in SIZES.items():
             conditions = ["", *(condition_of({name: size}) for size in sizes)]
@@ -163,7 +163,7 @@ def verdicts(tests: pd.DataFrame) -> str:
     """Returns in Markdown which faults of each family a task reveals, and whether it speaks for a kind."""
     families = " | ".join(f"`{family}`" for family in FAMILIES)
     lines = [f"| task | kind | {families} | speaks |", f"|---|---|{'---|' * len(FAMILIES)}---|"]
-    for (task, kind), group in tests.groupby(["task", "kind"]):
+    for (task, kind), group in tests.groupby(["task", "kind"], sort=False):
         cells = []
         for family in FAMILIES:
             of_family = group[group["family"] == family]
