@@ -32,13 +32,14 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.transports import decode_json
-from geort_drake.people.checks import NORM_REPAIRABLE, NORM_TOLERANCE
+from geort_drake.people.checks import NORM_TOLERANCE
 from geort_drake.people.formats import NODE_COUNT, keypoints_of_nodes
 from geort_drake.people.keypoints import KEYPOINT_COUNT, mirrored, to_wrist_frame, wrist_pose
 
 _VERSION, _UNIT = 1, "m"
 # Largest accepted coordinate, m.
 _MAX_DISTANCE_M = 100.0
+_NORM_REPAIRABLE = 0.2  # largest deviation of a quaternion's norm from 1 that is normalised
 _TEXT_VALUES = 1 + 7 * NODE_COUNT  # number of values of one glove in the text form
 _ERGONOMICS_VALUES = (20, 40)  # number of joint angles of one or two hands, which bridges can send instead
 
@@ -152,7 +153,7 @@ def _frame_of_own(own: _Own) -> GloveFrame:
         return GloveFrame(own.side, own.time, p_HK)
     X_WH = np.array(own.X_WH)
     norm = float(np.linalg.norm(X_WH[:4]))
-    if abs(norm - 1.0) > NORM_REPAIRABLE:
+    if abs(norm - 1.0) > _NORM_REPAIRABLE:
         raise LiveError(
             f"glove message: X_WH must begin with a unit quaternion, not {own.X_WH[:4]}, whose norm is "
             f"{norm:.3g}"

@@ -34,8 +34,7 @@ ORDERS: dict[str, tuple[int, ...]] = {
     "wrist, then each finger from tip to base (RHD)": (0, *_TIPS_FIRST),
     "each finger from tip to base, then the wrist (InterHand2.6M)": (*_TIPS_FIRST, 0),
 }  # fmt: skip
-# Deviations of a quaternion's norm from 1 that are accepted, and those that are normalised.
-NORM_TOLERANCE, NORM_REPAIRABLE = 1e-2, 0.2
+NORM_TOLERANCE = 1e-2  # accepted deviation of a quaternion's norm from 1
 
 _LARGEST = 1e6  # coordinate, in any unit, of a hand
 _KNUCKLES = (5, 9, 13, 17)  # of index to little finger
@@ -75,16 +74,6 @@ def examine(recording: Recording) -> Recording:
     sentences += [*lost, *check_bones(_finite(recording))]
     warnings = dict.fromkeys([*recording.metadata.get("warnings", []), *sentences])
     return dataclasses.replace(recording, metadata={**recording.metadata, "warnings": list(warnings)})
-
-
-def require_side(stated: str, expected: str) -> None:
-    """Refuses the recording of a hand of the other side than was requested."""
-    if stated != expected:
-        raise RecordingError(
-            f"the file contains a {stated} hand, a {expected} one was requested; give --side {stated} or a "
-            f"{stated} robot hand, or mirror it: geort-drake recording convert FILE --side {stated} --mirror "
-            "--output NEW.npz"
-        )
 
 
 def require_wrist_frame_hand(p_HK: np.ndarray, name: str = "human points") -> None:
@@ -234,13 +223,13 @@ def mark_lost_frames(recording: Recording) -> tuple[Recording, list[str]]:
         )
     valid, count = recording.valid.copy(), len(recording)
     sentences = list(_gaps(recording))
-    for what, is_bad in (
-        ("are not finite numbers", _not_finite),
-        ("are not in the wrist frame H", _not_in_frame),
-        ("have bones of another length", _other_bones),
-        ("have a keypoint that jumps away and back", _spikes),
+    for what, unusable in (
+        ("are not finite numbers", _not_finite(recording)),
+        ("are not in the wrist frame H", ~(_off_frame(recording.p_HK.astype(float)) < _FRAME_TOLERANCE_M)),
+        ("have bones of another length", _other_bones(recording)),
+        ("have a keypoint that jumps away and back", _spikes(recording)),
     ):
-        bad = is_bad(recording) & valid
+        bad = unusable & valid
         if bad.any():
             valid &= ~bad
             first = int(np.argmax(bad))
@@ -386,10 +375,6 @@ def _off_frame(p_HK: np.ndarray) -> np.ndarray:
     with np.errstate(invalid="ignore", over="ignore"):
         off = np.linalg.norm(to_wrist_frame(p_HK) - p_HK, axis=-1).max(axis=1)
     return np.where(np.isfinite(off), off, np.inf)
-
-
-def _not_in_frame(recording: Recording) -> np.ndarray:
-    return ~(_off_frame(recording.p_HK.astype(float)) < _FRAME_TOLERANCE_M)
 
 
 def _other_bones(recording: Recording) -> np.ndarray:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.errors import RecordingError, UnknownNameError, naming
-from geort_drake.people.checks import UNITS_M, examine, require_side, require_wrist_frame_hand
+from geort_drake.people.checks import UNITS_M, examine, require_wrist_frame_hand
 from geort_drake.people.coverage import training_faults
 from geort_drake.people.formats import FORMATS, TIME_FIELDS, File, Track, load, unread_clock
 from geort_drake.people.recording import SIDES, Recording
@@ -66,7 +66,12 @@ def read_recording(
             raise RecordingError(f"geort-drake's own files are in metres, not in {unit}")
         else:
             recording = Recording.from_arrays(file.fields)
-        require_side(recording.side, side)
+        if (stated := recording.side) != side:
+            raise RecordingError(
+                f"the file contains a {stated} hand, a {side} one was requested; give --side {stated} or a "
+                f"{stated} robot hand, or mirror it: geort-drake recording convert FILE --side {stated} "
+                "--mirror --output NEW.npz"
+            )
         if is_own and recording.valid.any():  # of other files, the wrist frame is computed here
             require_wrist_frame_hand(recording.p_HK[recording.valid], "p_HK")
         recording = examine(recording)
