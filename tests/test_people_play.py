@@ -14,7 +14,7 @@ from geort_drake.people.checks import examine
 from geort_drake.people.coverage import fingertip_speeds, pinch_distances, tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES, bone_lengths, wrist_pose
 from geort_drake.people.recording import PINCH_M
-from geort_drake.people.synthetic import device
+from geort_drake.people.synthetic import device, population
 from geort_drake.people.synthetic.hand import HumanHand
 from geort_drake.people.synthetic.population import sample_person, sample_population
 
@@ -220,16 +220,18 @@ def test_hands_differ_from_childrens_to_large_mens():
     assert (min(lengths) < 0.070) and (max(lengths) > 0.125)
 
 
-def test_the_seed_and_the_number_decide_a_person():
+def test_the_seed_and_the_number_decide_a_person(monkeypatch):
     """Neither the count nor the number of processes matters; other seeds and numbers differ."""
     people = sample_population(3, 5, duration_s=2.0)
     assert (people.shape, people.dtype) == ((3, 60, 21, 3), np.float32)
-    np.testing.assert_array_equal(sample_population(2, 5, duration_s=2.0, processes=2), people[:2])
     np.testing.assert_array_equal(sample_person(5, 1).record(2.0, 30.0).p_HK, people[1])
     assert not np.allclose(people[0], people[1])
     assert not np.allclose(sample_population(1, 6, duration_s=2.0), people[:1])
     with pytest.raises(ValueError, match="must be positive"):
         sample_population(0, 5)
+    monkeypatch.setattr(population, "_MIN_PARALLEL", 2)
+    monkeypatch.setattr(population, "usable_cores", lambda: 2)
+    np.testing.assert_array_equal(sample_population(2, 5, duration_s=2.0), people[:2])
 
 
 @pytest.mark.parametrize("number", range(2))

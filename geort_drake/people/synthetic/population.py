@@ -56,6 +56,7 @@ _PACE = (0.5, 2.0)
 
 _AVERAGE = HumanHand.anatomical()
 _GESTURES = {gesture.__name__: gesture for gesture in (play.fists, play.spread, play.wave)}
+_RATE_HZ = 30.0  # of `sample_population`
 _MIN_PARALLEL = 32  # people; for fewer, starting processes does not pay off
 
 
@@ -185,35 +186,25 @@ def sample_person(seed: int, number: int = 0) -> Person:
     )
 
 
-def sample_population(
-    count: int,
-    seed: int,
-    duration_s: float = 60.0,
-    rate_hz: float = 30.0,
-    processes: int | None = None,
-) -> np.ndarray:
-    """Draws people and synthesises the play of each.
+def sample_population(count: int, seed: int, duration_s: float = 60.0) -> np.ndarray:
+    """Draws people and synthesises the play of each, at 30 Hz.
 
     Args:
         count: number of people.
         seed: seed of the population. A larger one begins with the same people.
         duration_s: duration of each person's play, s.
-        rate_hz: frames per second.
-        processes: number of processes, without effect on the result; by default one per core, or only this
-            process for few people.
 
     Returns:
         Keypoints p_HK (count, frames, 21, 3) float32, m, in each frame's wrist frame H.
 
     Raises:
-        ValueError: a count below 1, or a duration or rate that is not positive.
+        ValueError: a count below 1, or a duration that is not positive.
     """
-    if count < 1 or duration_s <= 0 or rate_hz <= 0:
-        raise ValueError("count, duration_s and rate_hz must be positive")
-    if processes is None:
-        processes = usable_cores() if count >= _MIN_PARALLEL else 1
-    keypoints = partial(_keypoints, seed, duration_s, rate_hz)
-    dtype = np.dtype((np.float32, (play.frame_count(duration_s, rate_hz), KEYPOINT_COUNT, 3)))
+    if count < 1 or duration_s <= 0:
+        raise ValueError("count and duration_s must be positive")
+    processes = usable_cores() if count >= _MIN_PARALLEL else 1
+    keypoints = partial(_keypoints, seed, duration_s)
+    dtype = np.dtype((np.float32, (play.frame_count(duration_s, _RATE_HZ), KEYPOINT_COUNT, 3)))
     if processes == 1:
         return np.fromiter(map(keypoints, range(count)), dtype, count)
     start = {"initializer": end_with, "initargs": (os.getpid(),), "env": {"OMP_NUM_THREADS": "1"}}
@@ -221,8 +212,8 @@ def sample_population(
         return np.fromiter(pool.map(keypoints, range(count), chunksize=4), dtype, count)
 
 
-def _keypoints(seed: int, duration_s: float, rate_hz: float, number: int) -> np.ndarray:
-    return sample_person(seed, number).record(duration_s, rate_hz).p_HK
+def _keypoints(seed: int, duration_s: float, number: int) -> np.ndarray:
+    return sample_person(seed, number).record(duration_s, _RATE_HZ).p_HK
 
 
 def _sample_measured_hand(rng: np.random.Generator) -> tuple[Device, HumanHand, np.ndarray]:
