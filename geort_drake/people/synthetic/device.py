@@ -53,11 +53,6 @@ class Device:
     noise_m: float = 0.0
     scale_noise: float = 0.0
 
-    @property
-    def is_camera(self) -> bool:
-        """Whether the device is a camera rather than a glove."""
-        return self.noise_m > 0
-
     @classmethod
     def sample(cls, rng: np.random.Generator) -> "Device":
         """Draws a device from the distributions above."""
@@ -90,7 +85,7 @@ class Device:
         """
         p_DK = p_HK - self.p_HD
         p_DK[:, WRIST] = 0.0
-        if self.is_camera:
+        if self.noise_m > 0:  # a camera
             coefficient = np.exp(-1.0 / (rate_hz * _NOISE_TIME_S))
             noise = self.noise_m * _autoregressive(p_DK.shape, coefficient, rng)
             scale = np.exp(self.scale_noise * _autoregressive((len(p_DK), 1, 1), coefficient, rng))

@@ -31,7 +31,6 @@ _JOINT_SUFFIXES = {
     "thumb": ("cmc_abduction", "cmc_flexion", "mcp_flexion", "ip_flexion"),
     **dict.fromkeys(FINGER_NAMES[1:], ("mcp_abduction", "mcp_flexion", "pip_flexion", "dip_flexion")),
 }
-JOINT_NAMES = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
 
 # Bend of the outermost joint relative to that of the joint before it: two thirds in fingers (textbook; 0.4 to
 # 0.85 in recorded play), one in the thumb (recorded play).
@@ -102,7 +101,7 @@ class HumanHand:
     lower: np.ndarray
     upper: np.ndarray
 
-    joint_names = JOINT_NAMES
+    joint_names = tuple(f"{finger}_{suffix}" for finger in FINGER_NAMES for suffix in _JOINT_SUFFIXES[finger])
 
     def keypoints(self, theta: np.ndarray) -> np.ndarray:
         """Computes keypoints p_HK (..., 21, 3), m, at joint angles theta (..., 20), rad."""
