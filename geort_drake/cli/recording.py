@@ -289,7 +289,7 @@ class ShowProtocol(Command):
         if self.output is not None:
             from geort_drake.export.hand_recordings import write_hand
 
-            write_hand(recording, self.output, states={"step": names})
+            write_hand(recording, self.output, steps=names)
         finish(outputs, view(self.output))
         return 0
 

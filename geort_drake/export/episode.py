@@ -14,7 +14,6 @@ import yaml
 from geort_drake.errors import RecordingError
 from geort_drake.people.recording import Recording, newest
 from geort_drake.simulation.scenario import scenario_fields
-from geort_drake.simulation.world import ARM, HAND
 
 RESULTS, SCENARIO = "results.json", "scenario.yaml"
 
@@ -60,17 +59,6 @@ class Episode:
             name.removeprefix("pose."): np.stack(self.samples[name].to_numpy(zero_copy_only=False))
             for name in columns
         }
-
-    @property
-    def hand_pose(self) -> np.ndarray | None:
-        """X_WB (T, 7) of the robot hand's first moving body; None for a fixed base."""
-        return next((X_WB for name, X_WB in self.poses().items() if name.partition(".")[0] == HAND), None)
-
-    @property
-    def handled_poses(self) -> dict[str, np.ndarray]:
-        """Poses of the bodies that do not belong to the robot."""
-        robot = (ARM, HAND, self.carrier)
-        return {name: X for name, X in self.poses().items() if name.partition(".")[0] not in robot}
 
     def resampled(self, t: np.ndarray) -> "Episode":
         """Returns the episode resampled at times (T,), s, each with the latest sample up to then."""

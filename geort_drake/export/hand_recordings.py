@@ -1,7 +1,7 @@
 """Writes Rerun recordings of one hand: a person's, or a robot hand that moves joint by joint."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from geort_drake.people.keypoints import FINGER_NAMES
 from geort_drake.people.recording import Recording, newest
 from geort_drake.rerun import layout as views
 from geort_drake.rerun.scene import write_robot_hand
-from geort_drake.rerun.writer import SOLID, LineStrips3D, Writer, entity_path, file_writer
+from geort_drake.rerun.writer import SOLID, LineStrips3D, file_writer
 
 _RATE, _FRAMES_PER_JOINT = 30.0, 24  # of a robot hand: frames per second and per joint
 _AXES = {"x": (230, 60, 60), "y": (60, 180, 60), "z": (60, 90, 230)}
@@ -23,7 +23,7 @@ def write_hand(
     recording: Recording,
     path: str | os.PathLike,
     fps: float = 30.0,
-    states: Mapping[str, Sequence[str]] | None = None,
+    steps: Sequence[str] | None = None,
 ) -> None:
     """Writes a hand in its wrist frame H, the gaps between thumb and fingertips, and a robot's joints.
 
@@ -31,7 +31,7 @@ def write_hand(
         recording: recording of the hand.
         path: .rrd file to write.
         fps: frames per second; each frame contains the latest sample.
-        states: name of each lane → state in each frame of the recording.
+        steps: name of the protocol's step in each frame of the recording, shown in a lane.
     """
     t = recording.t - recording.t[0]
     times = np.arange(int(t[-1] * fps + 1e-6) + 1) / fps
@@ -43,9 +43,8 @@ def write_hand(
     ]
     if recording.robot is not None:
         plots.append(views.time_series("joint angles [rad]", ["/robot/**"]))
-    if states:
-        lanes = [entity_path(key) for key in states]
-        plots.append(views.StateTimelineView(origin="/", contents=lanes, name="phase"))
+    if steps:
+        plots.append(views.StateTimelineView(origin="/", contents=["/step"], name="phase"))
     scene = views.scene_view((0.34, -0.30, 0.33), (0.02, 0.0, 0.09))
     layout = views.blueprint(views.Horizontal(scene, views.Vertical(*plots), column_shares=[3, 2]))
     with file_writer(
@@ -62,10 +61,9 @@ def write_hand(
         writer.series("/gap/thumb", others, 1e3 * tip_distances(p_HK), colors)
         if recording.robot is not None:
             writer.series("/robot", recording.metadata["robot_signals"], recording.robot[rows])
-        for key, names in (states or {}).items():
-            labels = list(dict.fromkeys(names))
-            codes = [labels.index(names[frame]) for frame in rows]
-            writer.states(entity_path(key), codes, labels)
+        if steps:
+            labels = list(dict.fromkeys(steps))
+            writer.states("/step", [labels.index(steps[frame]) for frame in rows], labels)
 
 
 def write_joint_sweep(hand: Hand, path: str | os.PathLike) -> None:
@@ -86,18 +84,14 @@ def write_joint_sweep(hand: Hand, path: str | os.PathLike) -> None:
     ) as writer:
         writer.at(np.arange(len(q)) / _RATE)
         write_robot_hand(writer, "/world/hand", hand, q)
-        _write_marks(writer, hand, tips)
-
-
-def _write_marks(writer: Writer, hand: Hand, tips: np.ndarray) -> None:
-    for number, (axis, color) in enumerate(_AXES.items()):
-        line = [[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]]
-        writer.static(f"/world/hand_base/{axis}", LineStrips3D(line, radii=0.002, colors=[color]))
-    for number, finger in enumerate(hand.description.fingers):
-        # A translucent sphere around the tip that the model draws.
-        translucent = (*rgb(FINGER_COLOURS[finger.name]), 130)
-        rows = list(tips[:, [number]])
-        writer.points(f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, translucent, SOLID)
+        for number, (axis, color) in enumerate(_AXES.items()):
+            line = [[np.zeros(3), _AXIS_LENGTH * np.eye(3)[number]]]
+            writer.static(f"/world/hand_base/{axis}", LineStrips3D(line, radii=0.002, colors=[color]))
+        for number, finger in enumerate(hand.description.fingers):
+            # A translucent sphere around the tip that the model draws.
+            translucent = (*rgb(FINGER_COLOURS[finger.name]), 130)
+            rows = list(tips[:, [number]])
+            writer.points(f"/world/tips/{finger.name}", rows, 1.25 * finger.tip_radius, translucent, SOLID)
 
 
 def _sweep(hand: Hand) -> np.ndarray:

@@ -20,6 +20,7 @@ from geort_drake.export.episode import Episode
 from geort_drake.export.parquet import rows
 from geort_drake.files import atomic_directory, require_replaceable
 from geort_drake.simulation.tasks import find_task
+from geort_drake.simulation.world import ARM, HAND
 
 VERSION = "v3.0"
 INFO, STATS, TASKS = "meta/info.json", "meta/stats.json", "meta/tasks.parquet"
@@ -159,9 +160,13 @@ def features_of(episode: Episode) -> Features:
         "observation.state": (episode.values(measured), measured),
         "observation.glove": (episode.glove.p_HK[last_valid].reshape(frames, 63), _KEYPOINTS),
     }
-    if (hand_pose := episode.hand_pose) is not None:
-        floats["observation.hand_pose"] = (hand_pose, _POSE)
-    if object_poses := episode.handled_poses:
+    poses = episode.poses()
+    model_of = {body: body.partition(".")[0] for body in poses}
+    # The robot hand's first moving body; a hand on a fixed base has none.
+    if (palm := next((body for body in poses if model_of[body] == HAND), None)) is not None:
+        floats["observation.hand_pose"] = (poses[palm], _POSE)
+    robot = (ARM, HAND, episode.carrier)
+    if object_poses := {body: X_WB for body, X_WB in poses.items() if model_of[body] not in robot}:
         names = (
             _POSE if len(object_poses) == 1 else [f"{body}.{name}" for body in object_poses for name in _POSE]
         )
