@@ -408,7 +408,11 @@ _MAX_NUMBER = 1e300  # larger ones are none
 
 
 def load(path: Path) -> File:
-    """Reads a file by its suffix; an unreadable line of JSON becomes a frame without fields."""
+    """Reads a file by its suffix; an unreadable line of JSON becomes a frame without fields.
+
+    Raises:
+        RecordingError: the file is missing, too large or malformed; the message does not name it.
+    """
     suffix = path.suffix.lower()
     if suffix in (".npy", ".npz"):
         # A single number or word is no array.
@@ -417,36 +421,34 @@ def load(path: Path) -> File:
         return File(path.stem, fields, [])
     check_file(path)
     if suffix not in (".csv", ".json", ".jsonl"):
-        raise RecordingError(
-            f"{path}: recordings are .npz, .npy, .json, .jsonl or .csv files, not '{suffix}'"
-        )
+        raise RecordingError(f"recordings are .npz, .npy, .json, .jsonl or .csv files, not '{suffix}'")
     try:
         text = path.read_text("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise RecordingError(f"{path}: not a text file in UTF-8 ({error})") from None
+        raise RecordingError(f"not a text file in UTF-8 ({error})") from None
     if suffix == ".csv":
-        return File(path.stem, _columns(path, text), [])
+        return File(path.stem, _columns(text), [])
     if suffix == ".jsonl":
         return File(path.stem, {}, [_fields(_parsed(line)) for line in text.splitlines() if line.strip()])
     try:
         contents = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: not JSON: {error}") from None
+        raise RecordingError(f"not JSON: {error}") from None
     fields = _fields(contents)
     frames = contents if isinstance(contents, list) else fields.get("frames")
     return File(path.stem, fields, [_fields(frame) for frame in frames] if isinstance(frames, list) else [])
 
 
-def _columns(path: Path, text: str) -> dict[str, list[str]]:
+def _columns(text: str) -> dict[str, list[str]]:
     """Returns the columns of a table by their names."""
     lines = [line for line in text.splitlines() if line.strip(",;\t ")]
     if not lines:
-        raise RecordingError(f"{path}: the table is empty")
+        raise RecordingError("the table is empty")
     header, *rows = csv.reader(lines, delimiter=max(",;\t", key=lines[0].count))
     names = [name.strip() for name in header]
     # Numbers are no names: a table without a header matches no format, which tells more.
     if twice := [name for name in names if name[:1].isalpha() and names.count(name) > 1]:
-        raise RecordingError(f"{path}: the header has the column {twice[0]} more than once")
+        raise RecordingError(f"the header has the column {twice[0]} more than once")
     rows = [[cell.strip() for cell in row[: len(names)]] for row in rows]
     return {name: cells for name, *cells in itertools.zip_longest(names, *rows, fillvalue="")}
 

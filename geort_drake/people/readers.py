@@ -57,8 +57,8 @@ def read_recording(
     for kind, name in (("side", side), ("unit", unit), ("format", format)):
         if name is not None and name not in names[kind]:
             raise UnknownNameError(kind, name, names[kind])
-    file = load(path)
     with naming(path, RecordingError):
+        file = load(path)
         is_own = format == OWN or (format == AUTO and "p_HK" in file.fields)
         if not is_own:
             recording = _read_foreign(path, file, side, format, unit, rate_hz)

@@ -149,9 +149,8 @@ class Recording:
         Raises:
             RecordingError: the file is missing, not a recording, or of another convention.
         """
-        arrays = load_arrays(path)
         with naming(path, RecordingError):
-            return cls.from_arrays(arrays)
+            return cls.from_arrays(load_arrays(Path(path)))
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Recording":
@@ -229,18 +228,18 @@ def newest(sample_times: np.ndarray, t: np.ndarray) -> np.ndarray:
     return np.maximum(np.searchsorted(sample_times, np.asarray(t) + _TIME_TOLERANCE, side="right") - 1, 0)
 
 
-def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
     """Returns the arrays of an .npz file, or that of an .npy file under the name "data"; never unpickles.
 
     Raises:
-        RecordingError: the file is missing, not NumPy's, or larger than `MAX_BYTES`, packed or unpacked.
+        RecordingError: the file is missing, not NumPy's, or larger than `MAX_BYTES`, packed or unpacked; the
+            message does not name it.
     """
-    path = Path(path)
     check_file(path)
     try:
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
-                _check_size(path, sum(member.file_size for member in archive.infolist()))
+                _check_size(sum(member.file_size for member in archive.infolist()))
         archive = np.load(path, allow_pickle=False)
         if isinstance(archive, np.ndarray):
             return {"data": archive}
@@ -251,16 +250,16 @@ def load_arrays(path: str | os.PathLike) -> dict[str, np.ndarray]:
         raise
     except Exception as error:  # a corrupt archive may raise anything
         reason = "it contains pickled objects, which are never read" if "pickle" in str(error) else str(error)
-        raise RecordingError(f"{path}: not a readable NumPy file: {reason}") from None
+        raise RecordingError(f"not a readable NumPy file: {reason}") from None
 
 
 def check_file(path: Path) -> None:
     """Raises RecordingError unless `path` is a file of at most `MAX_BYTES`."""
     if not path.is_file():
-        raise RecordingError(f"{path}: {'is no file' if path.exists() else 'no such file'}")
-    _check_size(path, path.stat().st_size)
+        raise RecordingError("is no file" if path.exists() else "no such file")
+    _check_size(path.stat().st_size)
 
 
-def _check_size(path: Path, size: int) -> None:
+def _check_size(size: int) -> None:
     if size > MAX_BYTES:
-        raise RecordingError(f"{path}: has {size / 2**30:.1f} GiB; the limit is {MAX_BYTES >> 30} GiB")
+        raise RecordingError(f"has {size / 2**30:.1f} GiB; the limit is {MAX_BYTES >> 30} GiB")
