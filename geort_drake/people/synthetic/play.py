@@ -73,7 +73,9 @@ def record(
     rng: np.random.Generator,
     metadata: dict,
 ) -> Recording:
-    """Records a hand that follows a timeline, with a glove's noise; metadata must have source and seed.
+    """Records at least two frames of a hand that follows a timeline, with a glove's noise.
+
+    The metadata must have source and seed.
 
     Raises:
         UnknownNameError, ValueError: as `synthesize_play` does.
@@ -83,17 +85,12 @@ def record(
     if duration_s <= 0 or rate_hz <= 0 or jitter < 0:
         raise ValueError("duration_s and rate_hz must be positive and jitter not negative")
     hand = timeline.hand
-    t = np.arange(frame_count(duration_s, rate_hz)) / rate_hz
+    t = np.arange(max(2, round(duration_s * rate_hz))) / rate_hz
     theta = timeline.motion(t, jitter * _glove_noise(len(t), rate_hz, rng))
     common = {"side": "right", "rate_known": True, "warnings": []}
     seed = metadata["seed"] if isinstance(metadata["seed"], int) else None
     metadata = {**common, **metadata, "seed": seed}
     return Recording(t, hand.keypoints(theta), np.ones(len(t), bool), None, metadata)
-
-
-def frame_count(duration_s: float, rate_hz: float) -> int:
-    """Returns the number of frames of a recording, at least two."""
-    return max(2, round(duration_s * rate_hz))
 
 
 class Timeline:

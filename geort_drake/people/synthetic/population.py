@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import RecordingError
 from geort_drake.people.checks import check_bones, check_order, check_unit
-from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.people.recording import Recording
 from geort_drake.people.synthetic import play
 from geort_drake.people.synthetic.device import Device
@@ -204,12 +203,11 @@ def sample_population(count: int, seed: int, duration_s: float = 60.0) -> np.nda
         raise ValueError("count and duration_s must be positive")
     processes = usable_cores() if count >= _MIN_PARALLEL else 1
     keypoints = partial(_keypoints, seed, duration_s)
-    dtype = np.dtype((np.float32, (play.frame_count(duration_s, _RATE_HZ), KEYPOINT_COUNT, 3)))
     if processes == 1:
-        return np.fromiter(map(keypoints, range(count)), dtype, count)
+        return np.stack([keypoints(number) for number in range(count)])
     start = {"initializer": end_with, "initargs": (os.getpid(),), "env": {"OMP_NUM_THREADS": "1"}}
     with ProcessPoolExecutor(processes, **start) as pool:
-        return np.fromiter(pool.map(keypoints, range(count), chunksize=4), dtype, count)
+        return np.stack(list(pool.map(keypoints, range(count), chunksize=4)))
 
 
 def _keypoints(seed: int, duration_s: float, number: int) -> np.ndarray:
