@@ -77,7 +77,7 @@ class _Reading(Command):
             refusal = {"file": name, "verdict": "refused", "fit_for_training": False, "reason": str(error)}
             write_json(self.json, refusal)
             raise
-        warnings, unfit = recording.metadata.get("warnings", []), training_faults(recording)
+        warnings, unfit = recording.metadata["warnings"], training_faults(recording)
         report = {
             "file": name,
             "verdict": "usable with warnings" if warnings or unfit else "usable",

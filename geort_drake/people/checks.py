@@ -35,6 +35,7 @@ ORDERS: dict[str, tuple[int, ...]] = {
     "each finger from tip to base, then the wrist (InterHand2.6M)": (*_TIPS_FIRST, 0),
 }  # fmt: skip
 NORM_TOLERANCE = 1e-2  # accepted deviation of a quaternion's norm from 1
+MAX_LOST = 0.1  # a recording with a larger fraction of lost or untimed frames is refused
 
 _LARGEST = 1e6  # coordinate, in any unit, of a hand
 _KNUCKLES = (5, 9, 13, 17)  # of index to little finger
@@ -49,7 +50,6 @@ _NOISY_SPREAD, _UNUSABLE_SPREAD = 0.03, 0.25  # of a bone: standard deviation ov
 # bend, each over its unit. Frames of 150 synthetic people as devices see them give a sum over −0.2, all but
 # one in a thousand over 0.2.
 _THUMB_MCP, _BEFORE_PALM_M, _BEND_SINE, _LEAST_SIDE = 2, 0.02, 0.3, -0.25
-_MAX_LOST = 0.1  # a recording with a larger fraction of lost frames is refused
 # In a spike, a keypoint moves by more than this and returns in the next frame: ten times a glove's jitter.
 _SPIKE_M = 0.02
 _GAP_S, _MISSING_FRACTION = 0.2, 0.05  # a glove at 118 Hz over radio loses 4 % of its frames
@@ -236,7 +236,7 @@ def mark_lost_frames(recording: Recording) -> tuple[Recording, list[str]]:
             sentences.append(f"{bad.sum()} of {count} frames {what}, the first is frame {first}: invalid")
     lost = count - int(valid.sum())
     newly = lost - int((~recording.valid).sum())
-    if valid.sum() < 2 or newly > _MAX_LOST * count:
+    if valid.sum() < 2 or newly > MAX_LOST * count:
         reasons = "; ".join(sentences) or "none is valid"
         raise RecordingError(f"{lost} of {count} frames are unusable, at most one in ten may be: {reasons}")
     return dataclasses.replace(recording, valid=valid), sentences
@@ -382,7 +382,7 @@ def _other_bones(recording: Recording) -> np.ndarray:
     median = np.median(bone_lengths(_finite(recording)), axis=0)
     outlier = ~(np.abs(length - median) <= _BONE_DEVIATION * median + _BONE_DEVIATION_M).all(axis=1)
     # Where bones vary as much as this in many frames, their spread tells more.
-    return outlier if outlier[recording.valid].mean() <= _MAX_LOST else np.zeros_like(outlier)
+    return outlier if outlier[recording.valid].mean() <= MAX_LOST else np.zeros_like(outlier)
 
 
 def _spikes(recording: Recording) -> np.ndarray:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geort_drake.errors import RecordingError, UnknownNameError, naming
-from geort_drake.people.checks import UNITS_M, examine, require_wrist_frame_hand
+from geort_drake.people.checks import MAX_LOST, UNITS_M, examine, require_wrist_frame_hand
 from geort_drake.people.coverage import training_faults
 from geort_drake.people.formats import FORMATS, TIME_FIELDS, File, Track, load, unread_clock
 from geort_drake.people.recording import SIDES, Recording
@@ -23,7 +23,6 @@ ASSUMED_RATE_HZ = 30.0
 AUTO, OWN = "auto", "geort_drake"
 
 _MIN_UNIX_TIME_S = 1e8  # in 1973; later times are Unix times, smaller ones count from the device's start
-_MAX_UNUSABLE = 0.1  # largest fraction of frames without a usable time, and of those that show no hand
 
 
 def read_recording(
@@ -102,7 +101,7 @@ def _read_foreign(
         warnings.append(
             f"{lost.sum()} of {len(lost)} frames show no hand or cannot be read, the first is {first}"
         )
-        if lost.sum() > _MAX_UNUSABLE * len(lost):
+        if lost.sum() > MAX_LOST * len(lost):
             raise RecordingError(f"{warnings[-1]}; at most one in ten may be lost")
     recording = Recording.from_keypoints(p_WK, t, track.side or side, track.in_world)
     metadata = {"source": path.name, "format": format, "unit": unit, **recording.metadata}
@@ -145,7 +144,7 @@ def _timed_frames(
             f"{repeats} of {count} frames are stored twice with the same time": repeats,
             f"{untimed} of {count} frames have no time, or one that does not increase": untimed,
         }
-        if untimed > _MAX_UNUSABLE * count:
+        if untimed > MAX_LOST * count:
             raise RecordingError(next(reversed(sentences)))
         return rows, track.t[rows], [f"{text}: left out" for text, frames in sentences.items() if frames]
     rows, warnings = np.arange(count), []
