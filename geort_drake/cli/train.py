@@ -214,9 +214,10 @@ def _other_side(hand: "Hand") -> "Hand | None":
     """Returns the known hand of the same name with the other side; None without it or its model."""
     from geort_drake import Hand
     from geort_drake.errors import HandError, UnknownNameError
+    from geort_drake.people.recording import OTHER_SIDE
 
     side, name = hand.description.side, hand.description.name
-    other = {"right": "left", "left": "right"}[side]
+    other = OTHER_SIDE[side]
     if side not in name:
         return None
     try:

@@ -20,7 +20,7 @@ from geort_drake.people.keypoints import (
     mirrored,
     to_wrist_frame,
 )
-from geort_drake.people.recording import SIDES, Recording
+from geort_drake.people.recording import OTHER_SIDE, Recording
 
 UNITS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 0.0254, "dm": 0.1}
 # Orders of published data sets: the keypoint at each of the 21 positions in a file.
@@ -193,7 +193,7 @@ def check_unit(p_HK: np.ndarray, unit: str | None = None) -> None:
 
 def check_side(p_HK: np.ndarray, side: str) -> list[str]:
     """Refuses a hand of the other side, and mirrored axes, by how the fingers bend; p_HK is (T, 21, 3), m."""
-    bending, other = _mean_bending(p_HK), SIDES[1 - SIDES.index(side)]
+    bending, other = _mean_bending(p_HK), OTHER_SIDE[side]
     if bending < -_MIN_BEND_SINE:
         raise RecordingError(
             f"the fingers bend backwards (mean sine {bending:.2f}), so this is a {other} hand or a {side} "
@@ -267,7 +267,7 @@ def bent_side(p_WK: np.ndarray, side: str) -> str:
     p_HK = to_wrist_frame(mirrored(p_WK) if side == "left" else p_WK)
     p_HK = p_HK[np.isfinite(p_HK).all(axis=(1, 2))]
     backwards = len(p_HK) > 0 and _mean_bending(p_HK) < -_MIN_BEND_SINE
-    return SIDES[1 - SIDES.index(side)] if backwards else side
+    return OTHER_SIDE[side] if backwards else side
 
 
 def fitting_order(p: np.ndarray) -> tuple[str | None, str]:

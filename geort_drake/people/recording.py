@@ -17,7 +17,8 @@ from geort_drake.people.keypoints import KEYPOINT_COUNT, TIP_KEYPOINT, mirrored,
 
 # Incremented when the meaning of p_HK changes, so that old files are recognised.
 CONVENTION = 1
-SIDES = ("left", "right")
+OTHER_SIDE = {"left": "right", "right": "left"}
+SIDES = tuple(OTHER_SIDE)
 PINCH_M = 0.015  # a distance between the tips of thumb and finger below this counts as a pinch
 # Largest size of a file, packed and unpacked; an hour at 120 Hz takes 1.5 GB in the largest format.
 MAX_BYTES = 2 << 30
@@ -127,7 +128,7 @@ class Recording:
         The numbers do not change, because left hands are stored mirrored; only the side changes.
         `metadata["recorded_side"]` keeps the recorded side.
         """
-        metadata = {"recorded_side": self.side, **self.metadata, "side": SIDES[1 - SIDES.index(self.side)]}
+        metadata = {"recorded_side": self.side, **self.metadata, "side": OTHER_SIDE[self.side]}
         return dataclasses.replace(self, metadata=metadata)
 
     def save(self, path: str | os.PathLike) -> None:
