@@ -191,6 +191,18 @@ def test_incomplete_runs_are_refused(run, tmp_path, spoil, message):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run"]
 
 
+def test_a_session_without_an_outcome_is_exported(tmp_path):
+    """Such as the log of a live session that was killed."""
+    play = synthesize_play(0, 1.0, 30.0)
+    names = [joint.format(kind) for kind in ("command", "measured") for joint in JOINTS]
+    signals = {**play.metadata, "robot_signals": names}
+    session = dataclasses.replace(play, robot=np.zeros((len(play), len(names))), metadata=signals)
+    list(write_lerobot([episode_of(session, "session")], tmp_path / "out"))
+    (episodes,) = (tmp_path / "out" / "meta" / "episodes").rglob("*.parquet")
+    (row,) = pq.read_table(episodes).to_pylist()
+    assert (row["outcome"], row["tasks"]) == ("unknown", ["teleoperate the robot"])
+
+
 def test_unsuitable_exports_are_refused(run, tmp_path):
     """No robot in a LeRobot dataset, other joints in the same dataset, another folder in its place."""
     play = synthesize_play(0, 2.0, 30.0)

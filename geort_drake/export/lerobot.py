@@ -107,7 +107,7 @@ def write_lerobot(
                     "meta/episodes/chunk_index": 0,
                     "meta/episodes/file_index": 0,
                     "name": episode.name,
-                    "outcome": episode.facts["outcome"] or "unknown",
+                    "outcome": episode.facts.get("outcome") or "unknown",
                     "session": json.dumps(episode.facts.get("session", {})),
                     **statistics,
                 }
