@@ -112,7 +112,9 @@ class Command:
                 elif isinstance(mark, Check) and value is not None:
                     several = isinstance(value, tuple)
                     for item in value if several else (value,):
-                        require(mark.fits(item), f"--{name.replace('_', '-')}", mark.expected, item)
+                        if not mark.fits(item):
+                            option = f"--{name.replace('_', '-')}"
+                            raise UsageError(f"{option}: must be {mark.expected}, not {item}")
 
     def run(self) -> int:
         """Does the work and returns the exit code: 0 success, 1 partial success.
@@ -152,12 +154,6 @@ def methods_epilog(trained_only: bool = False) -> str:
 
 
 # -- checks of options, before any work begins
-
-
-def require(fits: bool, option: str, expected: str, value: Any) -> None:
-    """Raises UsageError, which names the option, unless its value fits."""
-    if not fits:
-        raise UsageError(f"{option}: must be {expected}, not {value}")
 
 
 def require_output_file(path: Path, suffix: str) -> None:

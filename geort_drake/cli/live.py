@@ -7,15 +7,18 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from geort_drake.cli.base import (
+    Check,
     Command,
     Json,
     ScenarioOptions,
     Side,
     methods_epilog,
     options,
-    require,
 )
 from geort_drake.errors import UsageError
+
+_DURATION = Check(lambda seconds: seconds > 0, "a positive number")  # may be infinite
+_PORT = Check(lambda port: 0 <= port < 65536, "a port from 0 to 65535")
 
 
 @options
@@ -46,19 +49,19 @@ class Live(Command, ScenarioOptions):
     """serial number of the MANUS glove, if a bridge sends several"""
     engage: Literal["key", "now"] = "key"
     """engage with Enter, or at once"""
-    relax_after: Annotated[float, arg(metavar="S")] = 5.0
+    relax_after: Annotated[float, arg(metavar="S"), _DURATION] = 5.0
     """seconds to hold after the hand is lost, before relaxing"""
-    duration: Annotated[float, arg(metavar="S")] = math.inf
+    duration: Annotated[float, arg(metavar="S"), _DURATION] = math.inf
     """stop after this many seconds"""
-    timeout: Annotated[float, arg(metavar="S")] = 10.0
+    timeout: Annotated[float, arg(metavar="S"), _DURATION] = 10.0
     """seconds to wait for glove and robot"""
-    robot_silence: Annotated[float, arg(metavar="S")] = 0.5
+    robot_silence: Annotated[float, arg(metavar="S"), _DURATION] = 0.5
     """stop if the robot sends nothing for this many seconds"""
     record: Annotated[Path | None, arg(metavar="PATH")] = None
     """record the followed hand to a file (.npz); from the page, to a folder (default: runs/live)"""
     host: Annotated[str, arg(metavar="ADDRESS")] = "127.0.0.1"
     """address of the page; beyond this machine, it uses TLS with a self-signed certificate"""
-    port: Annotated[int, arg(metavar="N")] = 8742
+    port: Annotated[int, arg(metavar="N"), _PORT] = 8742
     """port of the page; 0 for any"""
     open: bool = True
     """do not open the browser"""  # help of the flag --no-open
@@ -71,10 +74,6 @@ class Live(Command, ScenarioOptions):
     def run(self) -> int:
         from geort_drake.cli.live_session import run_live
 
-        for option in ("relax_after", "duration", "timeout", "robot_silence"):
-            value = getattr(self, option)
-            require(value > 0, f"--{option.replace('_', '-')}", "a positive number", value)
-        require(0 <= self.port < 65536, "--port", "a port from 0 to 65535", self.port)
         if self.meshcat and self.robot != "simulation":
             raise UsageError("--meshcat shows the simulation; give it to `geort-drake live stand-in-robot`")
         return run_live(self)
@@ -131,7 +130,7 @@ class StandInRobot(Command, ScenarioOptions):
 
     robot: Annotated[str, arg(metavar="ADDRESS")] = "zmq+tcp://127.0.0.1:5557"
     """zmq+tcp://HOST:PORT, lcm, or lcm+URL"""
-    duration: Annotated[float, arg(metavar="S")] = math.inf
+    duration: Annotated[float, arg(metavar="S"), _DURATION] = math.inf
     """duration, s"""
     meshcat: bool = False
     """show it in a browser on this machine"""
@@ -143,7 +142,6 @@ class StandInRobot(Command, ScenarioOptions):
         from geort_drake.live.robots import make_stand_in, open_meshcat
         from geort_drake.live.session import run_in_real_time, stopping
 
-        require(self.duration > 0, "--duration", "a positive number", self.duration)
         scenario = self.load_scenario()
         diagram = make_stand_in(scenario, self.robot, open_meshcat() if self.meshcat else None)
         simulator = Simulator(diagram)
