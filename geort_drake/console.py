@@ -68,7 +68,7 @@ def print_table(
         rows: cells, which may contain rich's markup.
         text: headings of further text columns, aligned left like the first; others contain numbers.
     """
-    table = Table(title=title or None, caption=caption or None)
+    table = Table(title=title, caption=caption)
     for heading in headings:
         left = heading == headings[0] or heading in text
         table.add_column(heading, justify="left" if left else "right", overflow="fold")
@@ -176,9 +176,12 @@ def exit_code_of(function: Callable[[], int | None], debug: bool = False) -> int
         _print_labelled("error", "red", error)
         return 2
     except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in _EXTRAS:
+        package = (error.name or "").partition(".")[0]
+        if package not in _EXTRAS:
             raise
-        _print_labelled("error", "red", missing_package_message(error))
+        install = f"pip install 'geort-drake[{_EXTRAS[package]}]'"
+        message = f"this needs the package {package}, which is not installed: {install}"
+        _print_labelled("error", "red", message)
         return 2
     except MemoryError as error:
         _print_labelled("error", "red", f"not enough memory: {error}")
@@ -189,15 +192,6 @@ def exit_code_of(function: Callable[[], int | None], debug: bool = False) -> int
             raise
         console.print("interrupted")
         return 130
-
-
-def missing_package_message(error: ModuleNotFoundError) -> str:
-    """Returns a sentence that names a package which is not installed, and how to install it."""
-    package = (error.name or "").partition(".")[0]
-    install = (
-        f"pip install 'geort-drake[{_EXTRAS[package]}]'" if package in _EXTRAS else f"pip install {package}"
-    )
-    return f"this needs the package {package}, which is not installed: {install}"
 
 
 def run_main(main: Callable[[Sequence[str] | None], int | None]) -> None:

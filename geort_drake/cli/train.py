@@ -86,15 +86,7 @@ class Train(Command):
         with warnings.catch_warnings():
             # The map stores the warnings, which are shown below.
             warnings.simplefilter("ignore", RuntimeWarning)
-            retargeter = train_map(
-                hand,
-                recording,
-                self.method,
-                self.seed,
-                self.device,
-                settings,
-                show_progress=not self.quiet,
-            )
+            retargeter = train_map(hand, recording, self.method, self.seed, self.device, settings)
         duration = time.perf_counter() - start
         with console.status("evaluation"):
             metrics = evaluate(retargeter, hand, recording, self.seed)
@@ -166,7 +158,7 @@ class Train(Command):
         def train(
             settings: "UniversalSettings", start: Any, stage: str, state: Path
         ) -> "UniversalRetargeter":
-            with progress_bar(not self.quiet) as bars:
+            with progress_bar() as bars:
                 report = bars.losses(f"{hand.description.name}, {stage}")
                 return train_universal(
                     kinematics, shapes, settings, p_HK, self.seed, self.device, report, state, start
