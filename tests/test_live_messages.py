@@ -38,9 +38,10 @@ from geort_drake.live.robot_buses import ALLEGRO, PANDA, LcmDevice, open_bus
 from geort_drake.live.robots import RobotLink
 from geort_drake.live.transports import (
     MAX_BYTES,
+    RECEIVERS,
+    SENDERS,
+    ZmqSocket,
     is_local,
-    open_receiver,
-    open_sender,
     split_address,
     wait_for,
 )
@@ -303,9 +304,9 @@ def lcm_url():
 @pytest.mark.parametrize("pattern", ["pub", "push"])
 def test_messages_pass_over_a_transport(pattern):
     """On loopback; an address of ZeroMQ that is in use is refused."""
-    sender = open_sender(f"{pattern}+tcp://127.0.0.1:0")
-    address = sender.endpoint
-    receiver = open_receiver(f"{pattern.replace('pub', 'sub').replace('push', 'pull')}+{address}")
+    sender = ZmqSocket(*split_address(f"{pattern}+tcp://127.0.0.1:0", SENDERS), binds=True)
+    address = f"{pattern.replace('pub', 'sub').replace('push', 'pull')}+{sender.endpoint}"
+    receiver = ZmqSocket(*split_address(address, RECEIVERS), binds=False)
 
     def poll():
         sender.send(b"a frame")
@@ -314,7 +315,7 @@ def test_messages_pass_over_a_transport(pattern):
     try:
         assert set(wait_for(poll, 20.0, lambda: "nothing came")) == {b"a frame"}
         with pytest.raises(LiveError, match="cannot listen there"):
-            open_sender(f"{pattern}+{address}")
+            ZmqSocket(pattern, sender.endpoint, binds=True)
     finally:
         receiver.close()
         sender.close()

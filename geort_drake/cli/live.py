@@ -100,10 +100,10 @@ class Publish(Command):
         from geort_drake import read_recording
         from geort_drake.console import say, warn
         from geort_drake.live.session import play, stopping
-        from geort_drake.live.transports import is_local, open_sender
+        from geort_drake.live.transports import SENDERS, ZmqSocket, is_local, split_address
 
         recording = read_recording(self.recording, self.side)
-        sender = open_sender(self.to)
+        sender = ZmqSocket(*split_address(self.to, SENDERS), binds=True)
         if not is_local(self.to):
             warn(f"{self.to} is open to the network")
         say(f"{len(recording)} frames of a {recording.side} hand to {self.to}; Ctrl-C stops")

@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, DiscreteValues, EventStatus
 
 from geort_drake.errors import LiveError, MismatchError
 from geort_drake.live.messages import GloveFrame, decode
-from geort_drake.live.transports import ZmqSocket, open_receiver, wait_for
+from geort_drake.live.transports import RECEIVERS, ZmqSocket, split_address, wait_for
 from geort_drake.people.checks import require_wrist_frame_hand
 from geort_drake.systems.port_values import vector_to_pose
 from geort_drake.systems.python_system import PythonSystem
@@ -128,7 +128,7 @@ def open_glove(address: str, side: str, glove_id: str | None = None) -> GloveRec
     Raises:
         LiveError: the address is malformed.
     """
-    return GloveReceiver(open_receiver(address), side, glove_id)
+    return GloveReceiver(ZmqSocket(*split_address(address, RECEIVERS), binds=False), side, glove_id)
 
 
 class GloveStream(PythonSystem):

@@ -27,7 +27,7 @@ MAX_BYTES = 65_536
 # LCM's default group and port; ttl=0 keeps sent messages on this machine.
 LOCAL_LCM = "udpm://239.255.76.67:7667?ttl=0"
 
-_RECEIVERS, _SENDERS = ("sub", "pull"), ("pub", "push")
+RECEIVERS, SENDERS = ("sub", "pull"), ("pub", "push")  # patterns of ZeroMQ at a glove's address
 _FORMS = {
     "lcm": "lcm, lcm+udpm://GROUP:PORT?ttl=N, GROUP from 224.0.0.0 to 239.255.255.255",
     "zmq": "simulation, zmq+tcp://HOST:PORT",
@@ -36,23 +36,9 @@ _FORMS = {
 _MAX_AT_ONCE = 100  # most messages read in one call, so that a flood cannot block a loop
 
 
-def open_receiver(address: str) -> "ZmqSocket":
-    """Connects to a glove's address; a LiveError says if it is malformed."""
-    return ZmqSocket(*split_address(address, _RECEIVERS), binds=False)
-
-
-def open_sender(address: str) -> "ZmqSocket":
-    """Binds to an address to which receivers of a glove connect.
-
-    Raises:
-        LiveError: the address is malformed or in use.
-    """
-    return ZmqSocket(*split_address(address, _SENDERS), binds=True)
-
-
 def is_address(text: str) -> bool:
     """Returns whether the name of a glove's source looks like an address rather than a file."""
-    return "://" in text or text.partition("+")[0] in _RECEIVERS
+    return "://" in text or text.partition("+")[0] in RECEIVERS
 
 
 def split_address(address: str, patterns: Sequence[str]) -> tuple[str, str]:
