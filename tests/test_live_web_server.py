@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses as dc
 import functools
 import json
 import random
@@ -28,6 +29,7 @@ from geort_drake.errors import LiveError
 from geort_drake.hands.assembly import add_hand_model
 from geort_drake.live.robots import SimulatedRobot
 from geort_drake.live.transports import wait_for
+from geort_drake.live.web import serve
 from geort_drake.live.web.messages import MAX_BYTES
 from geort_drake.live.web.scene import PageScene, measured_poses
 from geort_drake.live.web.serve import find_page, host_names, is_loopback, self_signed_context
@@ -87,16 +89,21 @@ async def test_the_built_page_is_served_and_loads_nothing_from_elsewhere(tmp_pat
                     assert answer.status == 404
 
 
-def test_the_page_is_taken_from_the_package_or_the_clone_and_its_absence_is_told_with_the_mend(tmp_path):
+def test_the_page_is_taken_from_the_package_or_the_clone_and_its_absence_is_told_with_the_mend(
+    tmp_path, monkeypatch
+):
     """Before anything is served: a wheel that was built without Node.js has no page."""
     installed, clone = tmp_path / "site-packages/static", tmp_path / "clone"
+    monkeypatch.setattr(serve, "_PAGE", installed)
+    (clone / "docs").mkdir(parents=True)
+    monkeypatch.chdir(clone / "docs")
     with pytest.raises(LiveError, match=r"Install Node\.js 20 .* `make live`"):
-        find_page(installed, clone / "docs")
+        find_page()
     built = clone / "geort_drake/live/web/static"
     for page in (built, installed):
         page.mkdir(parents=True)
         (page / "index.html").write_text("a page")
-        assert find_page(installed, clone / "docs") == page
+        assert find_page() == page
 
 
 @asynchronous
@@ -210,7 +217,7 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     robot = SimulatedRobot(scenario, RobotModel(scenario, description))
     plant, body = robot.stage.plant, robot.stage.handled.body
     inspector = robot.stage.scene_graph.model_inspector()
-    scene = PageScene(plant, inspector, description)
+    scene = PageScene(plant, inspector, dc.replace(description, side="left"))
     facts = json.loads(json.dumps(scene.description))
     names, looks = facts["moving"], facts["geometries"]
     assert names[facts["hand_base"]["moving"]].startswith("hand::")
@@ -220,7 +227,7 @@ def test_the_scene_holds_every_body_that_moves_and_frames_follow_it():
     X_WO = plant.GetDefaultFloatingBaseBodyPose(body)
     link = plant.GetBodyByName("link_15").EvalPoseInWorld(plant.GetMyContextFromRoot(root))
     poses = robot.diagram.GetOutputPort("body_poses").Eval(root)
-    first = np.frombuffer(scene.frame(0.0, poses, points, "left"), "<f4")
+    first = np.frombuffer(scene.frame(0.0, poses, points), "<f4")
     assert len(first) == 1 + 7 * len(names) + 63
     for name, X in (("hand::link_15", link), ("cylinder::cylinder", X_WO)):
         begin = 1 + 7 * names.index(name)

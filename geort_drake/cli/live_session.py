@@ -116,7 +116,7 @@ def _run_glove(
         summary = run_session(
             loop,
             engaged,
-            None if engaged else EnterKey(),
+            None if engaged else EnterKey().step,
             duration,
             stop.is_set,
             lambda: link.require_alive(options.robot_silence) if link else None,

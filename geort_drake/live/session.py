@@ -9,7 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
@@ -47,13 +47,6 @@ class SteadyState:
         return self._state
 
 
-class Control(Protocol):
-    """Engages and disengages the person."""
-
-    def step(self, root: Context, engaged: bool) -> bool:
-        """Returns whether to engage the person; called at every step with the diagram's context."""
-
-
 class EnterKey:
     """Counts presses of Enter in the terminal, or newlines from a pipe.
 
@@ -84,7 +77,7 @@ class EnterKey:
 def run_session(
     loop: Teleoperation,
     engaged: bool,
-    control: Control | None,
+    control: Callable[[Context, bool], bool] | None,
     duration: float,
     stop: Callable[[], bool],
     require_robot: Callable[[], None] = lambda: None,
@@ -96,7 +89,8 @@ def run_session(
     Args:
         loop: the diagram of teleoperation.
         engaged: whether the person is engaged from the start.
-        control: engages and disengages the person; None for nothing.
+        control: called at every step with the diagram's context and whether the person is engaged; returns
+            whether to engage the person. None leaves it as it is.
         duration: longest duration, s.
         stop: returns whether to end the session.
         require_robot: called after every step; raises if the robot is lost.
@@ -123,7 +117,7 @@ def run_session(
         time = root.get_time()
         if time > 0.0:
             require_robot()
-        if control is not None and (request := control.step(root, engaged)) != engaged:
+        if control is not None and (request := control(root, engaged)) != engaged:
             engaged = request
             loop.engage(root, engaged and end_time is None)
         state = loop.state(root)

@@ -76,7 +76,7 @@ class WatchedTrial:
 
 
 class PageControl:
-    """Engages the person as the page asks; the `Control` of all sessions of a page.
+    """Engages the person as the page asks; for all sessions of a page.
 
     Attributes:
         loop, recorder: what the present session runs, and its recorder; a watched trial has none.
@@ -143,7 +143,7 @@ class PageControl:
             return
         log, self._log = self._log, None
         self.recorder.switch(None)
-        outcome, delay = self._outcome(self._root), self._delay()
+        outcome, delay = self._outcome(self._root), self.loop.delay(_NEWEST)
 
         # In a thread, because joining takes longer than a step of the loop.
         def finish() -> None:
@@ -245,7 +245,7 @@ class PageControl:
             "status": self.note or self._steady.step(root.get_time(), self.loop.state(root)),
             "fist": station.fist if self._fist_counts(engaged) else 0.0,
             "outcome": outcome,
-            "delay": self._delay(),
+            "delay": self.loop.delay(_NEWEST),
             "received": station.received,
             "refused": station.refused,
             "late": self.loop.late,
@@ -279,9 +279,6 @@ class PageControl:
             "success": outcome.success,
             "reason": explain(outcome.text) if outcome.over and not outcome.success else None,
         }
-
-    def _delay(self) -> dict[str, Any]:
-        return self.loop.delay(_NEWEST)
 
 
 def _merge(choice: Reset, wish: Reset) -> Reset:

@@ -73,7 +73,7 @@ class PageScene:
         inspector: SceneGraphInspector,
         hand: HandDescription,
     ):
-        self._inspector = inspector
+        self._inspector, self._is_left = inspector, hand.side == "left"
         self.meshes: list[bytes] = []
         self.moving: list[BodyIndex] = []
         base = plant.GetFrameByName(hand.base_frame, plant.GetModelInstanceByName(HAND))
@@ -112,16 +112,15 @@ class PageScene:
             "geometries": geometries,
         }
 
-    def frame(self, time: float, poses: list[RigidTransform], p_HK: np.ndarray | None, side: str) -> bytes:
+    def frame(self, time: float, poses: list[RigidTransform], p_HK: np.ndarray | None) -> bytes:
         """Returns the binary message of one moment.
 
         Args:
             time: s.
             poses: X_WB by body index.
             p_HK: the person's keypoints (21, 3), m in H, a left hand mirrored; None while the hand is lost.
-            side: "right" or "left", of the robot's hand.
         """
-        points = np.full((21, 3), np.nan) if p_HK is None else mirrored(p_HK) if side == "left" else p_HK
+        points = np.full((21, 3), np.nan) if p_HK is None else mirrored(p_HK) if self._is_left else p_HK
         parts = [pose_to_vector(poses[index]) for index in map(int, self.moving)]
         return np.concatenate([[time], *parts, points.ravel()]).astype("<f4").tobytes()
 

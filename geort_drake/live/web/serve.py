@@ -60,22 +60,18 @@ def open_server(
         server.close()
 
 
-def find_page(installed: Path = _PAGE, folder: Path | None = None) -> Path:
+def find_page() -> Path:
     """Returns the folder of the built page.
 
     It is part of the package where it was built with Node.js; `make live` in a clone builds it, too, which
     also serves a package installed elsewhere if the command runs in the clone.
 
-    Args:
-        installed: folder in the package.
-        folder: folder in which the command runs; None for the present one.
-
     Raises:
         LiveError: there is no built page; the message says how to build it.
     """
-    folder = Path.cwd() if folder is None else folder
+    folder = Path.cwd()
     clones = (parent / "geort_drake/live/web/static" for parent in (folder, *folder.parents))
-    for page in (installed, *clones):
+    for page in (_PAGE, *clones):
         if (page / "index.html").is_file():
             return page
     raise LiveError(

@@ -110,7 +110,7 @@ class WebTeleoperation:
             summary = run_session(
                 loop,
                 engaged,
-                control,
+                control.step,
                 duration - summary.get("duration", 0.0),
                 lambda: stop() or control.again,
                 lambda: link.require_alive(silence) if link else None,
@@ -182,7 +182,7 @@ class WebTeleoperation:
 
         def show(root: Context) -> None:
             p_HK = keypoints.Eval(contexts[1]).reshape(21, 3)
-            frame = scene.frame(root.get_time(), poses.Eval(contexts[0]), p_HK, setup.about.side)
+            frame = scene.frame(root.get_time(), poses.Eval(contexts[0]), p_HK)
             self.server.publish(frame=frame)
 
         control.begin(watched, None, self._scenes, self._facts(scenario), show)
@@ -237,7 +237,7 @@ class WebTeleoperation:
             else:
                 states = {name: system.GetOutputPort(f"{name}_state").Eval(context) for name in (HAND, ARM)}
                 poses = poses_of(states)
-            frame = scene.frame(root.get_time(), poses, self.station.p_HK, description.side)
+            frame = scene.frame(root.get_time(), poses, self.station.p_HK)
             self.server.publish(frame=frame)
 
         self._show(scene)
