@@ -49,11 +49,11 @@ def test_a_persons_hand_has_its_own_length():
 def test_the_filter_stills_a_hand_and_follows_a_fast_one():
     """Jitter of a resting point shrinks; a fast one lags little."""
     rng = np.random.default_rng(0)
-    still = OneEuroFilter(2.0, 20.0)
+    still = OneEuroFilter()
     noise = rng.normal(0.0, 1e-3, (300, 1, 3))
     out = np.array([still(i / 30, p) for i, p in enumerate(noise)])
     assert out[30:].std() < 0.5 * noise.std()
-    fast = OneEuroFilter(2.0, 20.0)
+    fast = OneEuroFilter()
     for i in range(60):
         p = fast(i / 30, np.array([[i / 30, 0.0, 0.0]]))
     assert 0.0 < 59 / 30 - p[0, 0] < 0.02

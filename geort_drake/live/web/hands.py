@@ -18,7 +18,7 @@ _VIEW_RAD = math.radians(66.0)
 _MIN_DISTANCE_M, _MAX_DISTANCE_M = 0.05, 5.0  # of the hand from the camera
 _MIN_BONE_M = 1e-3  # least length of a bone
 # One Euro filter: the jitter of a resting hand disappears, and a pinch at 0.3 m/s lags by 20 ms.
-_CUTOFF_HZ, _SLOPE = 2.0, 20.0
+_CUTOFF_HZ, _SLOPE = 2.0, 20.0  # at rest; and its growth with speed, Hz per m/s
 _SPEED_CUTOFF_HZ = 1.0  # of the low-pass on the speed; the paper's value
 _STRAIGHT = (WRIST, *FINGER_KEYPOINTS["middle"])
 
@@ -48,7 +48,7 @@ class HandReader:
 
     def __init__(self, side: str, hand_length: float | None = None):
         self._side, self._length = side, hand_length
-        self._filter = OneEuroFilter(_CUTOFF_HZ, _SLOPE)
+        self._filter = OneEuroFilter()
 
     def read(self, message: Camera | Headset) -> GloveFrame:
         """Returns the frame of a hand.
@@ -122,14 +122,9 @@ class OneEuroFilter:
     Each point's cutoff grows with its speed. Source: G. Casiez, N. Roussel, D. Vogel, "1 € Filter: A Simple
     Speed-based Low-pass Filter for Noisy Input in Interactive Systems", CHI 2012,
     https://doi.org/10.1145/2207676.2208639
-
-    Args:
-        cutoff: cutoff at rest, Hz.
-        slope: growth of the cutoff with speed, Hz per m/s.
     """
 
-    def __init__(self, cutoff: float, slope: float):
-        self._cutoff, self._slope = cutoff, slope
+    def __init__(self) -> None:
         self.reset()
 
     def reset(self) -> None:
@@ -144,7 +139,7 @@ class OneEuroFilter:
             step = time - self._time
             self._v = self._v + _weight(np.array(_SPEED_CUTOFF_HZ), step) * ((p - self._p) / step - self._v)
             speed = np.linalg.norm(self._v, axis=-1, keepdims=True)
-            cutoff = self._cutoff + self._slope * speed
+            cutoff = _CUTOFF_HZ + _SLOPE * speed
             self._p = self._p + _weight(cutoff, step) * (p - self._p)
         self._time = time
         return self._p
