@@ -70,16 +70,16 @@ class Session:
         if error:
             raise error[0]
 
-    def _reached(self, bus: Bus, until) -> bool | None:
+    def _reached(self, bus: Bus, until) -> bool:
         self._sequence += 1
         zeros = [0.0] * len(self.goal)
         bus.send(JointTargets(self._sequence, 0.0, self.names, self.goal.tolist(), zeros, True, 1.0))
         self.states += bus.fetch()
         time.sleep(0.005)
         if not self.states:
-            return None
+            return False
         assert list(self.states[-1].names) == self.names
-        return (until or self._stands)(self.states[-1]) or None
+        return (until or self._stands)(self.states[-1])
 
     def _stands(self, state) -> bool:
         return bool(np.abs(np.subtract(state.position, self.goal)).max() < 0.02)

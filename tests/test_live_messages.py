@@ -310,7 +310,7 @@ def test_messages_pass_over_a_transport(pattern):
 
     def poll():
         sender.send(b"a frame")
-        return receiver.drain() or None
+        return receiver.drain()
 
     try:
         assert set(wait_for(poll, 20.0, lambda: "nothing came")) == {b"a frame"}
@@ -361,7 +361,7 @@ def test_a_command_that_starts_again_gets_no_state_from_before(tmp_path):
             numbers = itertools.count(start + 100)
             with contextlib.closing(joint_messages.open_zmq_bus(endpoint)) as live:
                 states = wait_for(
-                    lambda live=live, numbers=numbers: report(next(numbers)) or live.fetch() or None,
+                    lambda live=live, numbers=numbers: report(next(numbers)) or live.fetch(),
                     PATIENCE_S,
                     lambda: "nothing came",
                 )
@@ -388,19 +388,19 @@ def test_joint_messages_reach_the_other_end_and_malformed_ones_are_counted(tmp_p
                     sender.send(message)
                     for each in receiver.fetch():
                         received.update(zip(each.names, each.position, strict=True))
-                    return len(received) == len(names) or None
+                    return len(received) == len(names)
 
                 wait_for(came, PATIENCE_S, lambda: "nothing came")
                 assert received == dict(zip(names, q.tolist(), strict=True))
                 assert receiver.refused == 0
 
-            def refused() -> bool | None:
+            def refused() -> bool:
                 if carrier == "zmq":
                     live._sender.send(b"{}")
                 else:
                     live._lcm.Publish("ALLEGRO_COMMAND", b"short")
                 driver.fetch()
-                return driver.refused > 0 or None
+                return driver.refused > 0
 
             wait_for(refused, PATIENCE_S, lambda: "nothing was refused")
             expected = "field `sequence`" if carrier == "zmq" else "lcmt_allegro_command cannot be decoded"
@@ -411,7 +411,7 @@ def wait_for_text(folder: Path, name: str, text: str) -> None:
     """Waits until a program has printed a text."""
 
     def poll():
-        return True if text in (folder / f"{name}.log").read_text() else None
+        return text in (folder / f"{name}.log").read_text()
 
     wait_for(poll, PATIENCE_S, lambda: f"{name}: no '{text}' in: {(folder / f'{name}.log').read_text()}")
 
@@ -426,12 +426,12 @@ def test_the_loop_runs_over_loopback(station, tmp_path, robot, request):
     commands = open_bus(address, load_hand("allegro_right"), driver=True)  # hears what the stand-in hears
     first: dict[str, float] = {}
 
-    def moved() -> bool | None:
+    def moved() -> bool:
         for targets in commands.fetch():
             for name, q in zip(targets.names, targets.position, strict=True):
                 if abs(q - first.setdefault(name, q)) > 0.1:
                     return True
-        return None
+        return False
 
     with (
         program(tmp_path, "live stand-in-robot", "--robot", address),
@@ -574,10 +574,10 @@ class Robot:
             clock=self.clock, sleep=lambda seconds: setattr(self.clock, "now", self.clock.now + seconds),
         )  # fmt: skip
 
-        def connected() -> bool | None:
+        def connected() -> bool:
             self.send([0.0, 0.0])
             driver.step(np.zeros(2))
-            return True if driver._newest is not None and self.bus.fetch() else None
+            return driver._newest is not None and bool(self.bus.fetch())
 
         wait_for(connected, 20.0, lambda: "not connected")
         return driver
@@ -641,9 +641,9 @@ def test_a_robot_outside_its_limits_moves_back_at_its_speed(tmp_path):
 def step_after(driver: JointDriver, send) -> np.ndarray:
     """A driver's step once a message has come; ZeroMQ drops what it cannot send at once."""
 
-    def came() -> bool | None:
+    def came() -> bool:
         send()
-        return True if driver.bus._receiver._socket.poll(100) else None
+        return bool(driver.bus._receiver._socket.poll(100))
 
     wait_for(came, 20.0, lambda: "nothing came")
     return driver.step(np.zeros(2))

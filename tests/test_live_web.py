@@ -186,7 +186,7 @@ def test_a_held_fist_is_a_command(robot):
         (headset(0).replace("[[", "[[1e9, ", 1), "joints"),
         ('{"type": "record", "keep": false}', "keep"),
         (hello(version=2), "version"),
-        ("x" * 20_000, "16384"),
+        ("x" * 70_000, "65536"),
         ("[" * 10_000, "message"),
         ("\ud800", "message"),
     ],

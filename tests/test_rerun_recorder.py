@@ -197,7 +197,7 @@ def test_a_server_and_a_file_record_at_once_and_a_missing_viewer_causes_a_warnin
 
     def connected():
         with socket.socket() as client:
-            return client.connect_ex(("127.0.0.1", port)) == 0 or None
+            return client.connect_ex(("127.0.0.1", port)) == 0
 
     wait_for(connected, 60.0, lambda: "nobody listens")
     with pytest.warns(UserWarning, match="viewer did not receive all data"):

@@ -107,9 +107,9 @@ class GloveReceiver:
         """
         hands: list[np.ndarray] = []
 
-        def poll() -> bool | None:
+        def poll() -> bool:
             hands.extend(frame.p_HK for frame in self.drain(tolerant=False) if frame.p_HK is not None)
-            return True if len(hands) >= HANDSHAKE_FRAMES else None
+            return len(hands) >= HANDSHAKE_FRAMES
 
         wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
         require_wrist_frame_hand(np.stack(hands), "the glove")

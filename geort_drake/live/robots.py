@@ -215,9 +215,9 @@ class RobotLink(PythonSystem):
             LiveError: no state of all joints came in time, or a joint is far outside its limits.
         """
 
-        def poll() -> bool | None:
+        def poll() -> bool:
             self._fetch()
-            return None if self._missing() else True
+            return not self._missing()
 
         wait_for(poll, timeout_s, lambda: self._silence(timeout_s))
         self._driven = [group for group in self._groups if self._has(group)]

@@ -83,20 +83,14 @@ def is_local(address: str) -> bool:
 Message = TypeVar("Message")
 
 
-def decode_json(
-    decoder: msgspec.json.Decoder[Message], message: bytes, name: str, most: int = MAX_BYTES
-) -> Message:
-    """Decodes a message of JSON.
-
-    Args:
-        name: what errors call the message.
-        most: largest size, bytes.
+def decode_json(decoder: msgspec.json.Decoder[Message], message: bytes | str, name: str) -> Message:
+    """Decodes a message of JSON, which errors call `name`.
 
     Raises:
         LiveError: the message is too long or malformed; the error names the field.
     """
-    if len(message) > most:
-        raise LiveError(f"{name}: {len(message)} bytes; at most {most} are read")
+    if len(message) > MAX_BYTES:
+        raise LiveError(f"{name}: {len(message)} bytes; at most {MAX_BYTES} are read")
     try:
         return decoder.decode(message)
     # Invalid UTF-8 raises a ValueError, and deep nesting a RecursionError.
@@ -155,16 +149,14 @@ class ZmqSocket:
 
 
 def wait_for(poll: Callable[[], Any], timeout_s: float, message: Callable[[], str]) -> Any:
-    """Returns the first result of `poll` that is not None.
+    """Returns the first result of `poll` that is true.
 
     Raises:
         LiveError: there is none within `timeout_s`; its text is `message()`.
     """
     deadline = time.monotonic() + timeout_s
-    while True:
-        result = poll()
-        if result is not None:
-            return result
+    while not (result := poll()):
         if time.monotonic() > deadline:
             raise LiveError(message())
         time.sleep(0.002)
+    return result

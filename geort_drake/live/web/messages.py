@@ -11,7 +11,7 @@ from geort_drake.people.formats import NODE_COUNT
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 
 VERSION = 1
-MAX_BYTES = 16_384
+MAX_BYTES = 16_384  # a longer message ends the connection
 
 # A landmark outside the picture is extrapolated, and thus near it.
 PicturePoint = tuple[Annotated[float, Meta(ge=-10.0, le=10.0)], Annotated[float, Meta(ge=-10.0, le=10.0)]]
@@ -117,5 +117,4 @@ def decode(text: str | bytes) -> Hello | Hand | Request:
     Raises:
         LiveError: the message is too long or malformed; the error names the field.
     """
-    message = text.encode(errors="replace") if isinstance(text, str) else text
-    return decode_json(_DECODER, message, "message", MAX_BYTES)
+    return decode_json(_DECODER, text, "message")
