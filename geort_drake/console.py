@@ -168,8 +168,7 @@ def exit_code_of(function: Callable[[], int | None], debug: bool = False) -> int
             warnings.showwarning = lambda message, *_, **__: warn(message)
             return function() or 0
     except (GeortError, OSError) as error:
-        names_no_file = isinstance(error, OSError) and error.filename is None
-        if names_no_file and not isinstance(error, GeortError) and error.errno not in _CORRECTABLE:
+        if not isinstance(error, GeortError) and error.filename is None and error.errno not in _CORRECTABLE:
             raise
         if debug:
             traceback.print_exc()

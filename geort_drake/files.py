@@ -27,10 +27,8 @@ def writing(target: str | os.PathLike) -> Iterator[None]:
     """Turns errors of a full disk or a read-only location into an OutputError that names the target."""
     try:
         yield
-    except OutputError:
-        raise
     except OSError as error:
-        if error.errno not in _UNWRITABLE:
+        if error.errno not in _UNWRITABLE:  # as that of an OutputError, which has no number
             raise
         raise OutputError(f"{target}: cannot be written: {error.strerror}") from error
 

@@ -16,14 +16,13 @@ from geort_drake.retargeting.base import Retarget
 from geort_drake.retargeting.store import SUFFIX, fit, load_retargeter, shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
 
-PYTHON_SUFFIX = ".py"  # of a user's own method
 # Number of parts of the recording, successive frames per part, and untimed frames at the start of a part.
 _PARTS, _SUCCESSIVE, _WARM_UP = 10, 40, 10
 
 
 def is_own(method: str) -> bool:
     """Returns whether this is the path of a Python file with a user's own method."""
-    return Path(method).suffix == PYTHON_SUFFIX
+    return Path(method).suffix == ".py"
 
 
 def is_trained(method: str) -> bool:
