@@ -88,7 +88,7 @@ def _run(words: list[str]) -> int:
         return 0
     command, rest = split_command(words)
     if command is None:
-        return _refuse(words, rest)
+        return _refuse(words)
     if _HELP & {*rest}:
         return run_command(command, rest)  # prints the help and exits
     from geort_drake.console import exit_code_of
@@ -105,13 +105,13 @@ def split_command(words: Sequence[str]) -> tuple[str | None, list[str]]:
     return None, list(words)
 
 
-def _refuse(words: Sequence[str], rest: Sequence[str]) -> int:
+def _refuse(words: Sequence[str]) -> int:
     """Names the commands that an unknown one may stand for, and returns the exit code."""
     within = [name for name in COMMANDS if name.startswith(f"{words[0]} ")]
     if within and len(words) > 1 and not words[1].startswith("-"):
         matches = difflib.get_close_matches(" ".join(words[:2]), within, 1, 0.5)
     elif within:
-        if _HELP & {*rest}:
+        if _HELP & {*words}:
             print(_overview(within))
             return 0
         matches = []

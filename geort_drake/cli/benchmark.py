@@ -23,6 +23,7 @@ from geort_drake.cli.base import (
     require_output_folder,
     write_json,
 )
+from geort_drake.cli.simulate import DEFAULT_OBJECTS
 from geort_drake.errors import UnknownNameError, UsageError
 from geort_drake.simulation.tasks import task_names
 
@@ -33,7 +34,6 @@ if TYPE_CHECKING:
 
 # Methods that need no training.
 QUICK_METHODS = ("universal", "anyteleop", "dexpilot", "hold")
-QUICK_OBJECTS = ("cylinder", "sphere", "cube")
 _TASKS = arg(metavar="NAME ...", help=f"tasks: {', '.join(task_names())} (default: grasp)")
 
 
@@ -105,11 +105,7 @@ class Benchmark(Command, ScenarioOptions):
 
     @property
     def _cases(self) -> list[str]:
-        return list(self.objects or (QUICK_OBJECTS if self.quick else ()))
-
-    @property
-    def _jobs(self) -> int:
-        return self.jobs or os.cpu_count() or 1
+        return list(self.objects or (DEFAULT_OBJECTS if self.quick else ()))
 
     def _open(self) -> "tuple[TrialBenchmark, list[str]]":
         """Opens the benchmark that the options describe; returns it with the names of their methods.
@@ -184,7 +180,7 @@ class Benchmark(Command, ScenarioOptions):
         from geort_drake.benchmark.log import TrialLog, key_of
         from geort_drake.console import say, track, warn
 
-        settings, jobs = benchmark.settings, self._jobs
+        settings, jobs = benchmark.settings, self.jobs or os.cpu_count() or 1
         is_new = not self.submit
         with TrialLog(benchmark.folder) as log:
             keys = benchmark.keys(

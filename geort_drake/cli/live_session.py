@@ -64,7 +64,7 @@ def run_live(options: Any) -> int:
             link = RobotLink(bus, model.hand, model.arm, scenario.retargeting.period)
         _warn_of_open_addresses(options.glove if is_address(options.glove) else None, address)
         if by_page:
-            summary, recording = _run_page(options, scenario, description, link)
+            summary, recording = _run_page(options, scenario, link)
         else:
             summary, recording = _run_glove(options, stack, scenario, model, link)
     _print_summary(summary)
@@ -126,9 +126,7 @@ def _run_glove(
     return summary, options.record
 
 
-def _run_page(
-    options: Any, scenario: Scenario, description: HandDescription, link: RobotLink | None
-) -> tuple[dict[str, Any], Path | None]:
+def _run_page(options: Any, scenario: Scenario, link: RobotLink | None) -> tuple[dict[str, Any], Path | None]:
     """Serves the page and runs its sessions; returns a summary of all and the last recording."""
     if options.meshcat:
         raise UsageError("--meshcat: the page shows the simulation")
@@ -137,11 +135,11 @@ def _run_page(
     page = find_page()
     if link:
         _confirm_real_robot()
-    setup = _setup(options, scenario, description, link is not None)
+    setup = _setup(options, scenario, link is not None)
 
     def choose(hand: str, mount: str) -> Setup:
         other = load_scenario(None, _MOUNTS[mount], options.scenario_text, hand)
-        return _setup(options, other, load_hand(hand), False)
+        return _setup(options, other, False)
 
     folder = options.record or _RECORDINGS
     station = OperatorStation(
@@ -168,8 +166,9 @@ def _run_page(
     return summary, control.recordings[-1] if control.recordings else None
 
 
-def _setup(options: Any, scenario: Scenario, description: HandDescription, is_real: bool) -> Setup:
+def _setup(options: Any, scenario: Scenario, is_real: bool) -> Setup:
     """Returns a scenario's robot, a real one or that of a simulation, with its map and tasks."""
+    description = load_hand(scenario.hand)
     retarget, words = _retargeter_of(options.retargeter, description)
     scenarios = {scenario.task: scenario}
     mount = mount_of(scenario)

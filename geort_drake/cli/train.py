@@ -118,7 +118,7 @@ class Train(Command):
 
         if self.recording is not None:
             raise GeortError("--universal trains on synthetic people; --recording has no effect with it")
-        changes = parse_settings(list(self.set), UniversalSettings(), "the universal map")
+        changes = parse_settings(self.set, UniversalSettings(), "the universal map")
         settings = dataclasses.replace(UniversalSettings(), **changes)
         settings.validate()
         hand = Hand(self.hand)
@@ -185,7 +185,7 @@ class Train(Command):
         from geort_drake.retargeting.train import training_config
         from geort_drake.settings import parse_settings
 
-        settings = parse_settings(list(self.set), training_config(self.method), self.method)
+        settings = parse_settings(self.set, training_config(self.method), self.method)
         training_config(self.method, settings)  # refuses values before the recording is read
         return settings
 
