@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from geort_drake.errors import LiveError
 from geort_drake.live.messages import GloveFrame, frame_of_points
@@ -31,8 +30,8 @@ _R_WS = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 # Reach of the wrist from the middle to each edge, m: forward, left, up.
 _REACH_M = np.array([0.25, 0.3, 0.25])
 _WRIST_SPEED, _GRIP_SPEED = 0.6, 1.6  # m/s; closings per second
-# Fingers point forward and the palm faces down, as over a table: axes of H in W.
-_R_WH = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+# Fingers point forward and the palm faces down, as over a table: H is W turned by 90° about y.
+_Q_WH = np.array([math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0])
 _PAD_M = 0.0005  # depth of a keypoint under the pad's skin
 # Degrees of abduction and three flexions, from the thumb to the little finger: a hand that is about to grasp.
 _OPEN = np.radians([[35, -5, 5, 5], [2, 20, 25, 15], [0, 20, 25, 15], [-2, 20, 25, 15], [-4, 20, 25, 15]])
@@ -173,9 +172,8 @@ class PointerHand:
         goal = self._closed[pointer.grip] if pointer.closed else self._open
         fastest = _GRIP_SPEED * step * np.abs(self._closed["hand"] - self._open).max()
         self._theta = self._theta + np.clip(goal - self._theta, -fastest, fastest)
-        quaternion = Rotation.from_matrix(_R_WH).as_quat(scalar_first=True)
         p_HK = self._hand.keypoints(self._theta)
-        return GloveFrame(side, pointer.t, p_HK, np.concatenate([quaternion, self._p_WH]))
+        return GloveFrame(side, pointer.t, p_HK, np.concatenate([_Q_WH, self._p_WH]))
 
     def _close(self, fingers: list[str] | tuple[str, ...]) -> np.ndarray:
         """Returns joint angles (20,), rad, at which the thumb's pad meets those of the fingers."""
