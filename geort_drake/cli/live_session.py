@@ -120,7 +120,6 @@ def _run_glove(
             duration,
             stop.is_set,
             lambda: link.require_alive(options.robot_silence) if link else None,
-            _say_state,
         )
     _add_counts(summary, loop, link)
     return summary, options.record
@@ -157,7 +156,6 @@ def _run_page(options: Any, scenario: Scenario, link: RobotLink | None) -> tuple
                     stop.is_set,
                     options.timeout,
                     options.robot_silence,
-                    _say_state,
                 )
         finally:
             control.close()
@@ -247,10 +245,6 @@ def _retargeter_of(name: str | None, description: HandDescription) -> tuple[Reta
         say(f"no universal map is shipped for {description.name}; using a map trained on synthetic play")
         words = "map trained on synthetic play"
     return resolve(method, hand)[0], words
-
-
-def _say_state(time: float, state: str) -> None:
-    say(f"{time:8.2f} s  {state}")
 
 
 def _add_counts(summary: dict[str, Any], loop: Teleoperation, link: RobotLink | None) -> None:

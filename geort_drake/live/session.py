@@ -14,6 +14,7 @@ from typing import Any
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
+from geort_drake.console import say
 from geort_drake.live.messages import GloveFrame, encode_frame
 from geort_drake.live.teleoperation import Teleoperation
 from geort_drake.people.recording import Recording
@@ -80,11 +81,12 @@ def run_session(
     control: Callable[[Context, bool], bool] | None,
     duration: float,
     stop: Callable[[], bool],
-    require_robot: Callable[[], None] = lambda: None,
-    on_state: Callable[[float, str], None] = lambda time, state: None,
+    require_robot: Callable[[], None],
     summary: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Runs the loop in real time until `stop()` or for `duration`, and then holds the robot.
+
+    It prints the time and the state when that changes, see `SteadyState`, and notices of the glove's clock.
 
     Args:
         loop: the diagram of teleoperation.
@@ -94,7 +96,6 @@ def run_session(
         duration: longest duration, s.
         stop: returns whether to end the session.
         require_robot: called after every step; raises if the robot is lost.
-        on_state: called with the time (s) and the state when it changes, see `SteadyState`, and with notices.
         summary: summary of earlier sessions, to which this one is added.
 
     Returns:
@@ -124,11 +125,12 @@ def run_session(
         kind = state.partition(";")[0]  # without the reason of a refusal
         states[kind] = round(states.get(kind, 0.0) + STEP_S, 6)
         if (steady_state := steady.step(time, state)) != last:
-            on_state(time, steady_state)
+            say(f"{time:8.2f} s  {steady_state}")
             last = steady_state
         if loop.notice != notice:
             notice = loop.notice
-            on_state(time, notice or "the glove's clock runs right again")
+            text = notice or "the glove's clock runs right again"
+            say(f"{time:8.2f} s  {text}")
         if end_time is None and (stop() or time >= duration):
             end_time = time
             loop.engage(root, False)

@@ -88,14 +88,12 @@ class WebTeleoperation:
         stop: Callable[[], bool],
         timeout: float,
         silence: float,
-        on_state: Callable[[float, str], None],
     ) -> tuple[dict[str, Any], Teleoperation]:
         """Runs sessions until `stop()` or until they have taken `duration`, s.
 
         Args:
             engaged: whether a person is engaged from the start.
             timeout, silence: how long to wait for a real robot, and for its next status, s.
-            on_state: see `run_session`.
 
         Returns:
             A summary of all sessions together, see `run_session`, and the last diagram of teleoperation.
@@ -114,7 +112,6 @@ class WebTeleoperation:
                 duration - summary.get("duration", 0.0),
                 lambda: stop() or control.again,
                 lambda: link.require_alive(silence) if link else None,
-                on_state,
                 summary,
             )
             control.end()
