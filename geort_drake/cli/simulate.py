@@ -335,9 +335,9 @@ def _origin(method: str, retarget: Any, path: Path | None) -> str:
 
     if path is None:
         return f"{method} (needs no training)"
-    kinds = {OwnMethod: "own method", UniversalRetargeter: "universal"}
-    kind = next((name for class_, name in kinds.items() if isinstance(retarget, class_)), "")
-    return f"{path} ({kind})" if kind else str(path)
+    if isinstance(retarget, OwnMethod):
+        return f"{path} (own method)"
+    return f"{path} (universal)" if isinstance(retarget, UniversalRetargeter) else str(path)
 
 
 def _replace_run(folder: Path, scenario: "Scenario") -> None:

@@ -74,8 +74,8 @@ class WebTeleoperation:
     station: OperatorStation
     server: WebServer
     control: PageControl
-    link: RobotLink | None = None
-    relax_after: float = 5.0
+    link: RobotLink | None
+    relax_after: float
 
     def __post_init__(self) -> None:
         self._scenes = self._watched = 0
