@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from geort_drake.colours import FINGER_COLOURS, SKIN, finger_colors, rgb
+from geort_drake.colours import FINGER_COLOURS, finger_colors, rgb
 from geort_drake.hands.hand import Hand
 from geort_drake.people.coverage import tip_distances
 from geort_drake.people.keypoints import FINGER_NAMES
@@ -39,7 +39,7 @@ def write_hand(
     p_HK = np.where(recording.valid[:, None, None], recording.p_HK.astype(float), np.nan)[rows]
     facts = {key: value for key, value in recording.metadata.items() if isinstance(value, str | int | float)}
     plots: list[views.View] = [
-        views.time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend="left")
+        views.time_series("distance from the thumb's tip [mm]", ["/gap/**"], legend=True)
     ]
     if recording.robot is not None:
         plots.append(views.time_series("joint angles [rad]", ["/robot/**"]))
@@ -55,7 +55,7 @@ def write_hand(
         properties=facts,
     ) as writer:
         writer.at(times)
-        writer.human_hand("/world/human", p_HK, SKIN)
+        writer.human_hand("/world/human", p_HK)
         others = FINGER_NAMES[1:]
         colors = finger_colors(others)
         writer.series("/gap/thumb", others, 1e3 * tip_distances(p_HK), colors)

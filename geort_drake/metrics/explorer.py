@@ -238,7 +238,7 @@ def write_exploration(
 
 def _write_human(writer: Writer, hand: Hand, p_HK: np.ndarray, tips: np.ndarray) -> None:
     path = entity_path(WORLD, "human")
-    writer.human_hand(path, p_HK, SKIN)
+    writer.human_hand(path, p_HK)
     colors = [np.array(finger_colors(hand.finger_names))] * len(tips)
     writer.points(f"{path}/tips", list(tips), _HUMAN_TIP_RADIUS, colors, SOLID)
     writer.label(f"{path}/name", "recorded hand", SKIN, (0.0, 0.0, _LABEL_HEIGHT))

@@ -91,25 +91,21 @@ def lanes_share(lanes: int, others: float) -> float:
 
 
 def time_series(
-    title: str,
-    paths: Sequence[str],
-    legend: str = "",
-    limits: tuple[float, float] | None = None,
+    title: str, paths: Sequence[str], legend: bool = False, limits: tuple[float, float] | None = None
 ) -> View:
     """Makes a plot whose time axis is linked to those of the others.
 
     Args:
-        legend: side of the legend, "left" or "right"; empty for none.
+        legend: whether a legend is shown.
         limits: lowest and highest value; by default those of the data.
     """
-    corner = rrb.Corner2D.RightTop if legend == "right" else rrb.Corner2D.LeftTop
     return rrb.TimeSeriesView(
         origin="/",
         contents=list(paths),
         name=title,
         axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
         axis_y=None if limits is None else rrb.ScalarAxis(range=limits, zoom_lock=True),
-        plot_legend=rrb.PlotLegend(corner, visible=bool(legend)),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop, visible=legend),
     )
 
 
@@ -151,7 +147,7 @@ def default_layout(
     top = [scene_view(eye, target, overrides=trails)]
     top += [_close_up(scene, name, spec, poses, hands, trails) for name, spec in close_ups.items()]
     pages = _plots(specs_of(SignalSpec))
-    forces = time_series("contact force [N]", ["/contact/**"], legend="left")
+    forces = time_series("contact force [N]", ["/contact/**"], legend=True)
     pages.setdefault(next(iter(pages), ""), []).insert(0, forces)
     if has_text:
         top.append(rrb.TextDocumentView(origin=ABOUT, name="what you see"))

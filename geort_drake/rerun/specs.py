@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import Frame, RigidBody
 from pydrake.systems.framework import OutputPort
 
-from geort_drake.colours import SKIN, Color
+from geort_drake.colours import Color
 from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path, state_names
 
 # Maps the values (T, m) of ports at T times to the recorded values (T, n).
@@ -140,14 +139,12 @@ class HandSpec(Spec):
         wrist_pose_port: abstract `RigidTransform` output port with X_OH in the tracker's frame O.
         valid_port: vector output port of size 1; the hand is drawn if the value exceeds 0.5. None always
             draws it.
-        color: colour of the skin.
         X_WO: pose of the tracker's frame in the world.
     """
 
     keypoints_port: OutputPort
     wrist_pose_port: OutputPort
     valid_port: OutputPort | None = None
-    color: Color = SKIN
     X_WO: RigidTransform = field(default_factory=RigidTransform)
 
     def ports(self, key: str, plant_port: Callable[[str], OutputPort]) -> dict[str, OutputPort]:
@@ -162,7 +159,7 @@ class HandSpec(Spec):
         return ((self.X_WO @ X_OH) @ keypoints.reshape(21, 3).T).T
 
     def write(self, writer: Writer, key: str, rows: Sequence[np.ndarray]) -> None:
-        writer.human_hand(entity_path(WORLD, key), np.reshape(rows, (len(rows), 21, 3)), self.color)
+        writer.human_hand(entity_path(WORLD, key), np.reshape(rows, (len(rows), 21, 3)))
 
 
 @dataclass(frozen=True)
@@ -193,13 +190,11 @@ class PointsSpec(Spec):
     def read(
         self, value: np.ndarray, body_poses: Sequence[RigidTransform] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        body, X_BF = self._fixed_in
-        X_WF = X_BF if body_poses is None else body_poses[body] @ X_BF
+        X_WF = RigidTransform()
+        if self.frame is not None and body_poses is not None:
+            body, X_BF = body_and_pose(self.frame)
+            X_WF = body_poses[body] @ X_BF
         return np.array(value), X_WF.GetAsMatrix34()
-
-    @cached_property
-    def _fixed_in(self) -> tuple[int, RigidTransform]:
-        return (0, RigidTransform()) if self.frame is None else body_and_pose(self.frame)
 
     def write(self, writer: Writer, key: str, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         values, X_WF = [value for value, _ in rows], np.reshape([X for _, X in rows], (-1, 3, 4))

@@ -19,7 +19,7 @@ from pydrake.math import RigidTransform
 from rerun import Points3D
 from scipy.spatial.transform import Rotation
 
-from geort_drake.colours import FINGER_COLOURS, Color, rgb
+from geort_drake.colours import FINGER_COLOURS, SKIN, Color, rgb
 from geort_drake.files import atomic_path
 from geort_drake.people.keypoints import BONES, TIP_KEYPOINT, wrist_pose
 
@@ -70,11 +70,10 @@ class Writer:
         self.at(np.empty(0))
         self.static(f"/{WORLD}", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
 
-    def at(self, times: np.ndarray) -> "Writer":
+    def at(self, times: np.ndarray) -> None:
         """Sets the times (T,), s, of the rows that follow."""
         self.times = np.asarray(times, dtype=float)
         self._all_times = rr.TimeColumn(TIMELINE, duration=self.times)
-        return self
 
     def static(self, path: str, archetype: rr.AsComponents) -> None:
         """Sends data without a time; ignores further data of the same kind for the path."""
@@ -179,17 +178,16 @@ class Writer:
         """Sends a text at a position, m, for all times."""
         self.static(path, Points3D([position], labels=[text], show_labels=True, radii=[0.0], colors=[color]))
 
-    def human_hand(self, path: str, p_WK: np.ndarray, color: Color) -> None:
+    def human_hand(self, path: str, p_WK: np.ndarray) -> None:
         """Sends a human hand of keypoints p_WK (T, 21, 3), m; hands with a NaN are not drawn.
 
         Bones are capsules and joints are spheres; fingertips have the colours of the fingers.
         """
         bones, points = f"{path}/bones", f"{path}/keypoints"
-        skin = np.array(color)
-        self.static(bones, rr.Capsules3D.from_fields(radii=_BONE_RADII, colors=[skin], fill_mode=SOLID))
+        self.static(bones, rr.Capsules3D.from_fields(radii=_BONE_RADII, colors=[SKIN], fill_mode=SOLID))
         # Joints stand out slightly from the skin and are darker.
         radii = np.r_[0.011, 1.08 * _BONE_RADII.reshape(5, 4)[:, [1, 2, 3, 3]].ravel()]
-        colors = np.tile((0.72 * skin).astype(np.uint8), (21, 1))
+        colors = np.tile((0.72 * np.array(SKIN)).astype(np.uint8), (21, 1))
         for finger, tip in TIP_KEYPOINT.items():
             colors[tip], radii[tip] = rgb(FINGER_COLOURS[finger]), 1.3 * radii[tip]
         self.static(points, Points3D.from_fields(radii=radii, colors=colors))
