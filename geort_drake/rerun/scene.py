@@ -8,18 +8,7 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
-from pydrake.geometry import (
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
-    GeometryId,
-    HalfSpace,
-    Role,
-    SceneGraph,
-    SceneGraphInspector,
-    Sphere,
-)
+from pydrake.geometry import GeometryId, Role, SceneGraph, SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, RigidBody
@@ -32,20 +21,18 @@ from geort_drake.rerun.meshes import draw_mesh
 from geort_drake.rerun.specs import Spec, column_name
 from geort_drake.rerun.writer import PALETTE, SOLID, WORLD, Writer, entity_path, transform, xyzw
 from geort_drake.systems.contacts import bodies_of_geometries, contact_rows
-from geort_drake.systems.drawing import HALF_SPACE_SIDE, diffuse_color, drawn_geometries
+from geort_drake.systems.drawing import diffuse_color, drawn_geometries, solid_of
 
 _TRANSLUCENT = 90  # opacity, of 255
 _CONTACT_COLOR: Color = (255, 200, 40)
 _ARROWS, _SERIES = f"/{WORLD}/contact/forces", "/contact/force"
 
-# Drake's shape → name of the entity, archetype, and function of its dimensions.
-_SHAPES: dict[type, tuple[str, Any, Callable[[Any], dict]]] = {
-    Box: ("boxes", rr.Boxes3D, lambda s: {"sizes": s.size()}),
-    HalfSpace: ("boxes", rr.Boxes3D, lambda _: {"sizes": [HALF_SPACE_SIDE, HALF_SPACE_SIDE, 0.0]}),
-    Sphere: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.radius()] * 3}),
-    Ellipsoid: ("ellipsoids", rr.Ellipsoids3D, lambda s: {"half_sizes": [s.a(), s.b(), s.c()]}),
-    Cylinder: ("cylinders", rr.Cylinders3D, lambda s: {"lengths": s.length(), "radii": s.radius()}),
-    Capsule: ("capsules", rr.Capsules3D, lambda s: {"lengths": s.length(), "radii": s.radius()}),
+# Kind of a solid → name of the entity, archetype, and function of the solid's size.
+_SOLIDS: dict[str, tuple[str, Any, Callable[[list[float]], dict]]] = {
+    "box": ("boxes", rr.Boxes3D, lambda size: {"sizes": size}),
+    "ellipsoid": ("ellipsoids", rr.Ellipsoids3D, lambda size: {"half_sizes": size}),
+    "cylinder": ("cylinders", rr.Cylinders3D, lambda size: {"radii": size[0], "lengths": size[1]}),
+    "capsule": ("capsules", rr.Capsules3D, lambda size: {"radii": size[0], "lengths": size[1]}),
 }
 
 
@@ -261,37 +248,33 @@ def _draw(
 
     All shapes of a kind share an entity: a robot has hundreds of shapes, and entities cost space and time.
     """
-    batches: dict[tuple[str, Any], dict[str, list]] = defaultdict(lambda: defaultdict(list))
+    batches: dict[str, dict[str, list]] = defaultdict(lambda: defaultdict(list))
     shapes: list[tuple[str, rr.AsComponents]] = []
     for geometry in geometries:
         shape = inspector.GetShape(geometry)
         X_BG = inspector.GetPoseInFrame(geometry)
-        color = _color(inspector, geometry)
+        color = [round(255 * value) for value in diffuse_color(inspector, geometry)]
         name = inspector.GetName(geometry).rsplit("::", 1)[-1]
-        if type(shape) in _SHAPES:
-            kind, archetype, dimensions = _SHAPES[type(shape)]
+        if solid := solid_of(shape):
+            kind, size = solid
             row = {"labels": name, "colors": color, "quaternions": xyzw(X_BG)}
-            if isinstance(shape, Capsule):
+            if kind == "capsule":
                 # Drake centres a capsule; Rerun's begins at its origin.
-                row["translations"] = X_BG @ [0.0, 0.0, -shape.length() / 2]
+                row["translations"] = X_BG @ [0.0, 0.0, -size[1] / 2]
             else:
                 row["centers"] = X_BG.translation()
-            for key, value in (row | dimensions(shape)).items():
-                batches[kind, archetype][key].append(value)
+            for key, value in (row | _SOLIDS[kind][2](size)).items():
+                batches[kind][key].append(value)
         elif mesh := draw_mesh(inspector, geometry, role, color):
             shapes += [(f"{body_path}{entity_path(name, *part)}", archetype) for part, archetype in mesh]
         else:
-            kind = type(shape).__name__
-            warnings.warn(f"geometry {inspector.GetName(geometry)}: cannot draw a {kind}", stacklevel=4)
-    for (kind, archetype), columns in batches.items():
+            message = f"geometry {inspector.GetName(geometry)}: cannot draw a {type(shape).__name__}"
+            warnings.warn(message, stacklevel=4)
+    for kind, columns in batches.items():
+        entity, archetype, _ = _SOLIDS[kind]
         # The viewer shows the name of a geometry when it is selected.
-        shapes.append((f"{body_path}/{kind}", archetype(**columns, fill_mode=SOLID, show_labels=False)))
+        shapes.append((f"{body_path}/{entity}", archetype(**columns, fill_mode=SOLID, show_labels=False)))
     return shapes
-
-
-def _color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[int]:
-    rgba = diffuse_color(inspector, geometry)
-    return [round(255 * value) for value in (rgba.r(), rgba.g(), rgba.b(), rgba.a())]
 
 
 def _translucent(shape: Any) -> rr.AsComponents | None:

@@ -1,19 +1,38 @@
-"""The drawn geometry of a plant, for any viewer: which shapes, their colour, and the triangles of meshes."""
+"""The drawn geometry of a plant, for any viewer: which shapes, their size, colour and triangles."""
 
 import itertools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-from pydrake.geometry import GeometryId, Rgba, Role, SceneGraphInspector
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Cylinder,
+    Ellipsoid,
+    GeometryId,
+    HalfSpace,
+    Role,
+    SceneGraphInspector,
+    Shape,
+    Sphere,
+)
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 
 # Drake rotates a glTF file's y axis to its own z axis before scaling.
 GLTF_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
-_DEFAULT_COLOR = Rgba(0.75, 0.75, 0.78, 1.0)
+_HALF_SPACE_SIDE = 2.0  # m; a half space is drawn as a square
+_SOLIDS: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
+    Box: lambda s: ("box", s.size().tolist()),
+    HalfSpace: lambda s: ("box", [_HALF_SPACE_SIDE, _HALF_SPACE_SIDE, 0.0]),
+    Sphere: lambda s: ("ellipsoid", 3 * [s.radius()]),
+    Ellipsoid: lambda s: ("ellipsoid", [s.a(), s.b(), s.c()]),
+    Cylinder: lambda s: ("cylinder", [s.radius(), s.length()]),
+    Capsule: lambda s: ("capsule", [s.radius(), s.length()]),
+}
 
 
 def drawn_geometries(
@@ -28,16 +47,25 @@ def drawn_geometries(
     return inspector.GetGeometries(frame, Role.kProximity), Role.kProximity
 
 
-def diffuse_color(inspector: SceneGraphInspector, geometry: GeometryId) -> Rgba:
-    """Returns the colour of a geometry by its properties of any role; grey without one."""
+def solid_of(shape: Shape) -> tuple[str, list[float]] | None:
+    """Returns kind and size, m, of a shape that is not a mesh; None for any other.
+
+    Kinds are "box" with three edges, "ellipsoid" with three half axes, and "cylinder" and "capsule" with
+    radius and length.
+    """
+    return _SOLIDS[type(shape)](shape) if type(shape) in _SOLIDS else None
+
+
+def diffuse_color(inspector: SceneGraphInspector, geometry: GeometryId) -> list[float]:
+    """Returns red, green, blue and opacity, 0–1, of a geometry by its properties of any role; else grey."""
     for properties in (
         inspector.GetIllustrationProperties(geometry),
         inspector.GetPerceptionProperties(geometry),
         inspector.GetProximityProperties(geometry),
     ):
         if properties is not None and properties.HasProperty("phong", "diffuse"):
-            return properties.GetProperty("phong", "diffuse")
-    return _DEFAULT_COLOR
+            return properties.GetProperty("phong", "diffuse").rgba.tolist()
+    return [0.75, 0.75, 0.78, 1.0]
 
 
 def load_triangles(path: Path, scale: np.ndarray) -> np.ndarray:

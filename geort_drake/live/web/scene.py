@@ -6,18 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import (
-    Box,
-    Capsule,
-    Convex,
-    Cylinder,
-    Ellipsoid,
-    GeometryId,
-    HalfSpace,
-    Mesh,
-    SceneGraphInspector,
-    Sphere,
-)
+from pydrake.geometry import Convex, GeometryId, Mesh, SceneGraphInspector
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
@@ -25,13 +14,7 @@ from pydrake.multibody.tree import BodyIndex
 from geort_drake.hands.description import HandDescription
 from geort_drake.people.keypoints import mirrored
 from geort_drake.simulation.world import ARM, HAND
-from geort_drake.systems.drawing import (
-    HALF_SPACE_SIDE,
-    diffuse_color,
-    drawn_geometries,
-    hull,
-    load_triangles,
-)
+from geort_drake.systems.drawing import diffuse_color, drawn_geometries, hull, load_triangles, solid_of
 from geort_drake.systems.joint_limits import actuated_joints
 from geort_drake.systems.port_values import pose_to_vector
 
@@ -43,14 +26,6 @@ _VIEWS = {
     "shoulder": (np.array([-0.85, -0.30, 0.55]), 3.6),
 }
 _HAND_M = 0.16  # from a hand's base to its fingertips
-_SHAPES: dict[type, Callable[[Any], tuple[str, list[float]]]] = {
-    Box: lambda s: ("box", s.size().tolist()),
-    HalfSpace: lambda s: ("box", [HALF_SPACE_SIDE, HALF_SPACE_SIDE, 0.0]),
-    Sphere: lambda s: ("ellipsoid", 3 * [s.radius()]),
-    Ellipsoid: lambda s: ("ellipsoid", [s.a(), s.b(), s.c()]),
-    Cylinder: lambda s: ("cylinder", [s.radius(), s.length()]),
-    Capsule: lambda s: ("capsule", [s.radius(), s.length()]),
-}
 
 
 class PageScene:
@@ -90,7 +65,11 @@ class PageScene:
                 if number is None:
                     X = plant.EvalBodyPoseInWorld(defaults, body) @ X
                 if shape := self._shape(geometry):
-                    item = {"moving": number, "pose": _numbers(X), "color": self._color(geometry)}
+                    item = {
+                        "moving": number,
+                        "pose": _numbers(X),
+                        "color": diffuse_color(inspector, geometry),
+                    }
                     geometries.append(item | shape)
         names = [plant.get_body(index).scoped_name().get_full() for index in self.moving]
         robot = {
@@ -126,8 +105,8 @@ class PageScene:
 
     def _shape(self, geometry: GeometryId) -> dict[str, Any] | None:
         shape = self._inspector.GetShape(geometry)
-        if type(shape) in _SHAPES:
-            kind, size = _SHAPES[type(shape)](shape)
+        if solid := solid_of(shape):
+            kind, size = solid
             return {"shape": kind, "size": size}
         if isinstance(shape, Mesh | Convex) and (triangles := self._triangles(geometry, shape)) is not None:
             self.meshes.append(np.asarray(triangles, "<f4").tobytes())
@@ -146,10 +125,6 @@ class PageScene:
                 name = self._inspector.GetName(geometry)
                 warnings.warn(f"geometry {name}: drawn as its convex hull; {error}", stacklevel=4)
         return hull(self._inspector, geometry)
-
-    def _color(self, geometry: GeometryId) -> list[float]:
-        rgba = diffuse_color(self._inspector, geometry)
-        return [rgba.r(), rgba.g(), rgba.b(), rgba.a()]
 
 
 def _views(points: np.ndarray) -> dict[str, dict[str, list[float]]]:
