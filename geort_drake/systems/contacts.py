@@ -6,8 +6,6 @@ import numpy as np
 from pydrake.geometry import GeometryId, Role, SceneGraphInspector
 from pydrake.multibody.plant import ContactResults, MultibodyPlant
 
-_NO_CONTACTS = np.empty((0, 8))
-
 
 def bodies_of_geometries(plant: MultibodyPlant, inspector: SceneGraphInspector) -> dict[GeometryId, int]:
     """Returns the index of the body of every collision geometry."""
@@ -30,8 +28,6 @@ def contact_rows(results: ContactResults, bodies: Mapping[GeometryId, int]) -> n
         bodies: result of `bodies_of_geometries`.
     """
     points, surfaces = results.num_point_pair_contacts(), results.num_hydroelastic_contacts()
-    if not points + surfaces:
-        return _NO_CONTACTS
     rows = np.empty((points + surfaces, 8))
     infos = list(map(results.point_pair_contact_info, range(points)))
     if infos:

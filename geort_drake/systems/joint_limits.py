@@ -1,7 +1,6 @@
 """Limits of joint positions, speeds and accelerations, and steps towards targets within them."""
 
 import dataclasses as dc
-import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -30,11 +29,6 @@ def check_timing(period: float, latency: float = 0.0, cutoff: float = 0.0) -> No
     low, high = _CUTOFFS
     if not (cutoff == 0.0 or low <= cutoff <= high):
         raise ValueError(f"cutoff must be 0, or from {low:g} to {high:g} Hz, not {cutoff}")
-
-
-def low_pass_factor(cutoff: float, period: float) -> float:
-    """Fraction of the way to its input that a first-order low-pass moves in a period (s); 1 for cutoff 0."""
-    return -math.expm1(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0
 
 
 DEFAULT_SPEED = 7.0  # rad/s

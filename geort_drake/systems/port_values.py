@@ -14,14 +14,11 @@ POSE_MIRROR = np.array([1.0, -1.0, 1.0, -1.0, *POINT_MIRROR])
 
 
 class Immutable:
-    """Mixin for classes whose instances never change: a copy is the same object.
+    """Mixin for classes whose instances never change: a deep copy is the same object.
 
     Drake copies every abstract state of a diagram twice whenever one of them is updated, by `copy.deepcopy`,
     which takes longer than most systems compute.
     """
-
-    def __copy__(self) -> Self:
-        return self
 
     def __deepcopy__(self, memo: dict) -> Self:
         return self

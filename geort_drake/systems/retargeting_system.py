@@ -14,13 +14,7 @@ from geort_drake.errors import FrameError, GeortError, HandError
 from geort_drake.hands.description import HandDescription, load_hand
 from geort_drake.people.keypoints import KEYPOINT_COUNT
 from geort_drake.resources import hand_names
-from geort_drake.systems.joint_limits import (
-    DEFAULT_SPEED,
-    JointLimits,
-    actuated_joints,
-    check_timing,
-    low_pass_factor,
-)
+from geort_drake.systems.joint_limits import DEFAULT_SPEED, JointLimits, actuated_joints, check_timing
 from geort_drake.systems.person import PERSON_FIELDS, PersonMap
 from geort_drake.systems.python_system import PythonSystem
 from geort_drake.systems.retargeting_status import (
@@ -148,7 +142,8 @@ class RetargetingSystem(PythonSystem):
         q0 = self._limits.start(initial_positions, self.joint_names)
         check_timing(period, latency, cutoff)
         self.period = period = max(period, latency)
-        self._blend = low_pass_factor(cutoff, period)
+        # Fraction of the way to its input that the low-pass moves in a period.
+        self._blend = -math.expm1(-2.0 * math.pi * cutoff * period) if cutoff > 0 else 1.0
         self.delay = latency + period * (1.0 - self._blend) / self._blend
 
         self._keypoints_port = self.DeclareVectorInputPort("keypoints", 3 * KEYPOINT_COUNT)
@@ -170,16 +165,16 @@ class RetargetingSystem(PythonSystem):
                 ("distance_at", float),  # when it was computed, s
             ]
         )
-        start = np.full(1, math.nan, self._memory_fields)[0]
+        start = np.full(1, math.nan, self._memory_fields)
         start["target"] = q0
         for name in ("changed", "stamped", "eased_from", "easing", "since"):
             start[name] = 0.0
         start["state"], start["distance_at"] = STATES.index(SETTLING), -math.inf
         # The start is the end of a long hold, or the hand follows at once.
         start["held_since" if ease_at_start else "good_since"] = -math.inf
-        self._memory = self._declare_record(start)
+        self._memory = self.DeclareDiscreteState(start.view(float))
         if self._person_map is not None:
-            self._person = self._declare_record(np.zeros(1, PERSON_FIELDS)[0])
+            self._person = self.DeclareDiscreteState(np.zeros(1, PERSON_FIELDS).view(float))
         # With a latency, the output port has its own state.
         self._output = self._desired
         if latency > 0:
@@ -237,10 +232,6 @@ class RetargetingSystem(PythonSystem):
                 f"for {hands}, and from {model_low:.3f} to {model_high:.3f} rad in the plant. If it is "
                 "the same hand, give `limits`"
             )
-
-    def _declare_record(self, start: np.void) -> Any:
-        """Declares a record of floats as a group of the discrete state; returns the group's index."""
-        return self.DeclareDiscreteState(np.array([start]).view(float))
 
     def _output_result(self, context: Context, discrete_state: DiscreteValues) -> EventStatus:
         desired = context.get_discrete_state(self._desired).value()
