@@ -52,12 +52,12 @@ _TEXT = """\
 | outcome | **{outcome}** |
 
 **Scene.** Translucent coloured spheres are the fingertips' targets; the robot's fingertips are inside of them
-while they follow. Yellow arrows are contact forces, and white dots are the path of the object.{person}
+while they follow. Yellow arrows are contact forces, and white dots are the path of the object. Grey spheres
+are what the simulated person sees, {delay:.0f} ms late.
 
 **Below.** Phases of the task, and plots on tabs: fingers, joint angles (pale: commanded, strong: measured)
 and joint torques.
 """
-_OPERATOR_TEXT = " Grey spheres are what the simulated person sees, {delay:.0f} ms late."
 _PACKAGES = {"drake": "drake", "rerun": "rerun-sdk", "numpy": "numpy", "torch": "torch"}
 
 
@@ -85,16 +85,8 @@ def add_trial_recorder(
     source = system("operator" if operator_inputs else glove)
     finger_of = {joint: finger.name for finger in description.fingers for joint in finger.joints}
     hand_joints = [joint.name() for joint in actuated_joints(plant, hand)]
-    names = {
-        "joints": [f"{finger_of[joint]}/{joint}" for joint in hand_joints],
-        "arm": [joint.name() for joint in actuated_joints(plant, arm)],
-    }
-    models = {"joints": hand, "arm": arm}
-    commanded = {
-        "joints": system("action_correction").GetOutputPort("desired_state"),
-        "arm": system("wrist_to_arm").GetOutputPort("arm_desired_state"),
-    }
-    measured = {key: actuated_state(builder, plant, model) for key, model in models.items()}
+    commanded = system("action_correction").GetOutputPort("desired_state")
+    measured = actuated_state(builder, plant, hand)
     parts = HandInPlant(plant, description, hand)
     fingertips = parts.forward_kinematics(hand_joints)
     fingers, n = description.finger_names, len(hand_joints)
@@ -106,12 +98,16 @@ def add_trial_recorder(
 
     specs: dict[str, Spec] = {
         "fingertips/distance": SignalSpec(
-            [commanded["joints"], measured["joints"]], fingers, title="fingertip from its command", unit="mm",
+            [commanded, measured], fingers, title="fingertip from its command", unit="mm",
             page=_FINGERS, colors=colors, derive=distance,
         ),
     }  # fmt: skip
-    for key, model in models.items():
-        specs |= _joint_signals(plant, model, key, names[key], commanded[key], measured[key])
+    names = [f"{finger_of[joint]}/{joint}" for joint in hand_joints]
+    specs |= _joint_signals(plant, hand, "joints", names, commanded, measured)
+    names = [joint.name() for joint in actuated_joints(plant, arm)]
+    arm_commanded = system("wrist_to_arm").GetOutputPort("arm_desired_state")
+    arm_measured = actuated_state(builder, plant, arm)
+    specs |= _joint_signals(plant, arm, "arm", names, arm_commanded, arm_measured)
     handled, judge = stage.handled, stage.judge
     if handled.joints:
         key, (entries, unit) = f"{scenario.task}/positions", handled.positions
@@ -133,7 +129,7 @@ def add_trial_recorder(
     )
     # Translucent and slightly larger than the fingertips, which are inside while they follow.
     specs["fingertips/commanded"] = PointsSpec(
-        commanded["joints"],
+        commanded,
         base,
         radius=1.25 * max(finger.tip_radius for finger in description.fingers),
         color=[(*color, 130) for color in colors],
@@ -210,7 +206,7 @@ def _text(scenario: Scenario, properties: Mapping[str, object], outcome: str) ->
         hand=Path(scenario.hand).stem,
         seed=scenario.random_seed,
         outcome=outcome,
-        person=_OPERATOR_TEXT.format(delay=1e3 * scenario.operator.visual_delay),
+        delay=1e3 * scenario.operator.visual_delay,
     )
 
 
