@@ -24,8 +24,8 @@ from pydrake.math import RigidTransform
 
 from geort_drake.systems.drawing import GLTF_UP, hull, load_mesh
 
-# Names of entities below that of the geometry, and an archetype.
-Part = tuple[tuple[str, ...], rr.AsComponents]
+# Name of an entity below that of the geometry, empty for the geometry's own, and an archetype.
+Part = tuple[str, rr.AsComponents]
 
 
 def draw_mesh(
@@ -53,7 +53,7 @@ def draw_mesh(
     triangles = _hydroelastic(inspector, geometry) if role == Role.kProximity else None
     if triangles is None:
         triangles = hull(inspector, geometry)
-    return None if triangles is None else [((), _flat(triangles, X_BG, albedo_factor=color))]
+    return None if triangles is None else [("", _flat(triangles, X_BG, albedo_factor=color))]
 
 
 def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> list[Part]:
@@ -72,7 +72,7 @@ def _obj(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> lis
         else:
             opacity = float(material.kwargs.get("d", [1.0])[-1])
             look = {"albedo_factor": [*map(int, material.main_color[:3]), round(255 * opacity)]}
-        meshes.append(((str(number),) if len(parts) > 1 else (), _flat(triangles, X_BG, **look)))
+        meshes.append((str(number) if len(parts) > 1 else "", _flat(triangles, X_BG, **look)))
     return meshes
 
 
@@ -87,7 +87,7 @@ def _gltf(path: Path, shape: Mesh, X_BG: RigidTransform, color: list[int]) -> li
         albedo_factor=None if has_materials else color,
     )
     pose = rr.Transform3D(translation=X_BG.translation(), mat3x3=X_BG.rotation().matrix() @ axes)
-    return [((), asset), ((), pose)]
+    return [("", asset), ("", pose)]
 
 
 @contextlib.contextmanager

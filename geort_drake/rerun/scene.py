@@ -266,7 +266,7 @@ def _draw(
             for key, value in (row | _SOLIDS[kind][2](size)).items():
                 batches[kind][key].append(value)
         elif mesh := draw_mesh(inspector, geometry, role, color):
-            shapes += [(f"{body_path}{entity_path(name, *part)}", archetype) for part, archetype in mesh]
+            shapes += [(f"{body_path}{entity_path(name, part)}", archetype) for part, archetype in mesh]
         else:
             message = f"geometry {inspector.GetName(geometry)}: cannot draw a {type(shape).__name__}"
             warnings.warn(message, stacklevel=4)

@@ -58,7 +58,6 @@ are what the simulated person sees, {delay:.0f} ms late.
 **Below.** Phases of the task, and plots on tabs: fingers, joint angles (pale: commanded, strong: measured)
 and joint torques.
 """
-_PACKAGES = {"drake": "drake", "rerun": "rerun-sdk", "numpy": "numpy", "torch": "torch"}
 
 
 def add_trial_recorder(
@@ -168,7 +167,8 @@ def add_trial_recorder(
             "retargeting_delay_ms": 1e3 * system("retargeting").delay,
             "visual_delay_ms": 1e3 * scenario.operator.visual_delay,
             "geort_drake": __version__,
-            **{name: version_of(package) for name, package in _PACKAGES.items()},
+            "rerun": version_of("rerun-sdk"),
+            **{name: version_of(name) for name in ("drake", "numpy", "torch")},
             **properties,
         },
     )
