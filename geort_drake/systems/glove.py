@@ -145,9 +145,9 @@ class GloveRecorder(PythonSystem):
         self._append(np.concatenate([[context.get_time()], keypoints, valid, X_WH, *robot]))
         return EventStatus.Succeeded()
 
-    def recording(self, metadata: dict | None = None) -> Recording:
+    def recording(self, metadata: dict) -> Recording:
         """Returns the samples so far, with tracker poses; only without a log."""
-        return recording_of_rows(np.array(self._rows), dict(metadata or {}))
+        return recording_of_rows(np.array(self._rows), metadata)
 
     def switch(self, log: RecordingLog | None) -> None:
         """Drops the samples so far, and writes later ones to a log; None drops them, too."""

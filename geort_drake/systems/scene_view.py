@@ -64,10 +64,9 @@ class SceneView(PythonSystem):
         ]
         # Homogeneous columns: one product for all fingers takes a third of the time of separate products.
         self._tip_points = np.array([[*finger.tip_point, 1.0] for finger in description.fingers])[:, :, None]
-        links = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
-        self.links = [link.name() for link in links]
-        self._number_of_link = {int(link.index()): number for number, link in enumerate(links)}
         hand_parts = HandInPlant(plant, description, hand)
+        self.links = [link.name() for link in hand_parts.links]
+        self._number_of_link = {int(link.index()): number for number, link in enumerate(hand_parts.links)}
         self._finger_links = [
             [self._number_of_link[int(link.index())] for link in of_finger]
             for of_finger in hand_parts.finger_links()
