@@ -27,14 +27,7 @@ PENETRATION = 0.002  # m; deeper penetrations count as self-collision
 def motion_preservation(
     g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
 ) -> float:
-    """Returns the mean of `motion_cosines`."""
-    return float(motion_cosines(g, frames, rng, anchors).mean())
-
-
-def motion_cosines(
-    g: FingertipMap, frames: np.ndarray, rng: np.random.Generator, anchors: int = 4000
-) -> np.ndarray:
-    """Computes cosines (F, anchors) between random steps of a human fingertip and the robot's steps.
+    """Returns the mean cosine between random steps of a human fingertip and the robot's steps.
 
     Anchors are whole recorded frames, uniform over the 1 mm voxels of the moved finger's cloud. Steps are
     uniform from 1 to 11 mm, directions uniform on the sphere. If the robot does not move, the cosine is 0.
@@ -45,7 +38,7 @@ def motion_cosines(
         d = directions(anchors, rng) * rng.uniform(0.001, 0.011, (anchors, 1))
         answer = moved(g, x, finger, d)[:, finger] - g(x)[:, finger]
         cosines.append(_cosines(d, answer))
-    return np.stack(cosines)
+    return float(np.mean(cosines))
 
 
 def motion_preservation_track(frames: np.ndarray, p_BF: np.ndarray) -> float | None:
