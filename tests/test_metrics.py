@@ -302,7 +302,7 @@ def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch
     np.testing.assert_array_equal(p_BF, frames)
     assert json.loads(json.dumps(result, allow_nan=False)).keys() == result.keys()
     # The tables show nothing that is not measured.
-    assert {column.metric for columns in TABLES.values() for column in columns} <= {
+    assert {metric for columns in TABLES.values() for metric, _, _ in columns} <= {
         *dict(flat(result)),
         *("posture.median", "posture.p90"),
     }

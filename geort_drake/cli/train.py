@@ -224,6 +224,6 @@ def _rows(metrics: dict) -> Iterator[tuple[str, str]]:
     from geort_drake.metrics.compare import TABLES, flat
 
     values = dict(flat(metrics))
-    for column in itertools.chain.from_iterable(TABLES.values()):
-        if (value := values.get(column.metric)) is not None:
-            yield column.metric.translate(str.maketrans("_.", "  ")), column.form.format(value)
+    for metric, _, form in itertools.chain.from_iterable(TABLES.values()):
+        if (value := values.get(metric)) is not None:
+            yield metric.translate(str.maketrans("_.", "  ")), form.format(value)

@@ -6,7 +6,7 @@ The result is one row per method, protocol, part, seed and metric; every table i
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -97,53 +97,47 @@ Row = dict[str, Any]
 _KEYS = ["method", "protocol", "metric"]
 
 
-class Column(NamedTuple):
-    """A column of a table: name of the metric, heading and format."""
-
-    metric: str
-    heading: str
-    form: str
-
-
+# A column of a table: name of the metric, heading and format.
+Column = tuple[str, str, str]
 # Title of each table → its columns. Every table fits a terminal of 80 characters.
 TABLES: dict[str, tuple[Column, ...]] = {
     "direction and size": (
-        Column("motion_preservation", "MP", "{:.3f}"),
-        Column("motion_preservation_track", "track", "{:.3f}"),
-        Column("cross_talk", "cross\ntalk", "{:.2f}"),
-        Column("size.median", "gain", "{:.2f}"),
-        Column("size.over_affine", "of the\naffine", "{:.2f}"),
-        Column("size.least_over_affine", "least\nfinger", "{:.2f}"),
-        Column("gain_p95_p5", "p95/\np5", "{:.3g}"),
-        Column("flatness", "flat-\nness", "{:.3f}"),
+        ("motion_preservation", "MP", "{:.3f}"),
+        ("motion_preservation_track", "track", "{:.3f}"),
+        ("cross_talk", "cross\ntalk", "{:.2f}"),
+        ("size.median", "gain", "{:.2f}"),
+        ("size.over_affine", "of the\naffine", "{:.2f}"),
+        ("size.least_over_affine", "least\nfinger", "{:.2f}"),
+        ("gain_p95_p5", "p95/\np5", "{:.3g}"),
+        ("flatness", "flat-\nness", "{:.3f}"),
     ),
     "pinches, posture and collision": (
-        Column("pinch.closed", "pinches\nclosed", "{:.1%}"),
-        Column("pinch.too_deep", "too\ndeep", "{:.1%}"),
-        Column("pinch.mean_mm", "mean\nmm", "{:.1f}"),
-        Column("pinch.p95_mm", "95 %\nmm", "{:.1f}"),
-        Column("pinch.false", "false", "{:.2%}"),
-        Column("posture.median", "posture\n°", "{:.0f}"),
-        Column("posture.p90", "90 %\n°", "{:.0f}"),
-        Column("self_collision", "self-\ncollision", "{:.1%}"),
+        ("pinch.closed", "pinches\nclosed", "{:.1%}"),
+        ("pinch.too_deep", "too\ndeep", "{:.1%}"),
+        ("pinch.mean_mm", "mean\nmm", "{:.1f}"),
+        ("pinch.p95_mm", "95 %\nmm", "{:.1f}"),
+        ("pinch.false", "false", "{:.2%}"),
+        ("posture.median", "posture\n°", "{:.0f}"),
+        ("posture.p90", "90 %\n°", "{:.0f}"),
+        ("self_collision", "self-\ncollision", "{:.1%}"),
     ),
     "reach": (
-        Column("coverage.5mm", "cover\n5 mm", "{:.2f}"),
-        Column("coverage.10mm", "\n10 mm", "{:.2f}"),
-        Column("coverage.15mm", "\n15 mm", "{:.2f}"),
-        Column("coverage_context_averaged.10mm", "averaged\n10 mm", "{:.2f}"),
-        Column("self_collision_raw", "raw\ncollision", "{:.1%}"),
-        Column("pinch.all_pairs.closed", "all pairs\nclosed", "{:.1%}"),
+        ("coverage.5mm", "cover\n5 mm", "{:.2f}"),
+        ("coverage.10mm", "\n10 mm", "{:.2f}"),
+        ("coverage.15mm", "\n15 mm", "{:.2f}"),
+        ("coverage_context_averaged.10mm", "averaged\n10 mm", "{:.2f}"),
+        ("self_collision_raw", "raw\ncollision", "{:.1%}"),
+        ("pinch.all_pairs.closed", "all pairs\nclosed", "{:.1%}"),
     ),
     "stillness, smoothness and latency": (
-        Column("jitter", "jitter", "{:.2f}"),
-        Column("engagement.jump_mm", "jump\nmm", "{:.0f}"),
-        Column("engagement.settling_mm", "settling\nmm", "{:.1f}"),
-        Column("smoothness.mean", "step\nrad", "{:.3f}"),
-        Column("smoothness.p95", "95 %\nrad", "{:.3f}"),
-        Column("smoothness.jerk", "jerk\nrad/s³", "{:.0f}"),
-        Column("latency_us.median", "call\nµs", "{:.0f}"),
-        Column("latency_us.p99", "99 %\nµs", "{:.0f}"),
+        ("jitter", "jitter", "{:.2f}"),
+        ("engagement.jump_mm", "jump\nmm", "{:.0f}"),
+        ("engagement.settling_mm", "settling\nmm", "{:.1f}"),
+        ("smoothness.mean", "step\nrad", "{:.3f}"),
+        ("smoothness.p95", "95 %\nrad", "{:.3f}"),
+        ("smoothness.jerk", "jerk\nrad/s³", "{:.0f}"),
+        ("latency_us.median", "call\nµs", "{:.0f}"),
+        ("latency_us.p99", "99 %\nµs", "{:.0f}"),
     ),
 }
 # Metrics of which higher values are better, and those of which neither are; of all others, lower ones are.
@@ -179,6 +173,7 @@ def flat(metrics: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, fl
             yield f"{prefix}{name}", value
 
 
+@dataclasses.dataclass(frozen=True)
 class Comparison:
     """Evaluates methods one by one under the same protocols.
 
@@ -193,15 +188,10 @@ class Comparison:
         frame_limit: largest number of valid frames, from the first on, of each scored recording or block.
     """
 
-    def __init__(
-        self,
-        hand: Hand,
-        protocols: Mapping[str, Parts],
-        seeds: Sequence[int],
-        frame_limit: int | None = None,
-    ):
-        self.hand, self.protocols, self.seeds = hand, protocols, tuple(seeds)
-        self.frame_limit = frame_limit
+    hand: Hand
+    protocols: Mapping[str, Parts]
+    seeds: Sequence[int]
+    frame_limit: int | None = None
 
     @property
     def cases_per_method(self) -> int:
@@ -339,18 +329,15 @@ def tables(comparison: Comparison, rows: Sequence[Row]) -> Iterator[Group]:
     cases failed, the row states how many succeeded. Empty columns are left out.
     """
     figures = summary(rows)
+    methods = dict.fromkeys(row["method"] for row in rows)
+    notes = [f"{name} was trained on {TRAINED_ON[name]}." for name in methods if name in TRAINED_ON]
     for protocol in comparison.protocols:
         heading, meaning = PROTOCOLS[protocol]
         protocol_figures = figures[figures["protocol"] == protocol]
         lines = [
             line
-            for method in dict.fromkeys(row["method"] for row in rows)
+            for method in methods
             for line in _lines(method, protocol, rows, protocol_figures[protocol_figures["method"] == method])
-        ]
-        notes = [
-            f"{method} was trained on {TRAINED_ON[method]}."
-            for method in dict.fromkeys(row["method"] for row in rows)
-            if method in TRAINED_ON
         ]
         protocol_tables = [_table(title, columns, lines) for title, columns in TABLES.items()]
         yield Group(
@@ -375,18 +362,15 @@ def _lines(
 
 
 def _table(title: str, columns: Sequence[Column], lines: Sequence[tuple[str, dict]]) -> Table | None:
-    visible = [column for column in columns if any(column.metric in values for _, values in lines)]
+    visible = [column for column in columns if any(column[0] in values for _, values in lines)]
     if not visible:
         return None
     table = Table(title=title, title_justify="left", box=box.SIMPLE, padding=(0, 1, 0, 0))
     table.add_column("method")
-    for column in visible:
-        table.add_column(column.heading, justify="right", no_wrap=True)
+    for _, heading, _ in visible:
+        table.add_column(heading, justify="right", no_wrap=True)
     for label, values in lines:
-        cells = (
-            column.form.format(values[column.metric]) if column.metric in values else "–"
-            for column in visible
-        )
+        cells = (form.format(values[metric]) if metric in values else "–" for metric, _, form in visible)
         table.add_row(label, *cells)
     return table
 
