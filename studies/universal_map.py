@@ -75,7 +75,7 @@ def main(argv: Sequence[str] | None = None) -> None:
             methods["affine_ik"] = AffineIK(kinematics_of(hand), p_HF)
         for name, retarget in methods.items():
             own = adapt(retarget, recording)
-            metrics, _ = evaluate_frames(own, hand, p_HF, recording.rate_hz, distal=distal)
+            metrics = evaluate_frames(own, hand, p_HF, recording.rate_hz, distal=distal)
             rows.setdefault(name, {})[person] = figures_of(metrics)
     for name, people in rows.items():
         drawn = [row for person, row in people.items() if person.startswith("person ")]

@@ -199,16 +199,16 @@ def test_an_online_method_gets_recorded_frames_in_order_from_rest(halves, quick,
     """Track and coverage of an online method are of each sequence, whatever was asked about before."""
     outputs = []
 
-    def evaluate_frames(*arguments):
-        result = original(*arguments)
-        outputs.append((arguments[2], result[1]))
-        return result
+    def track(frames, p_BF):
+        outputs.append((frames, p_BF))
+        return original(frames, p_BF)
 
-    original = evaluation.evaluate_frames
-    monkeypatch.setattr(evaluation, "evaluate_frames", evaluate_frames)
+    original = evaluation.motion_preservation_track
+    monkeypatch.setattr(evaluation, "motion_preservation_track", track)
     rows = halves.run("anyteleop")
     assert min(row["value"] for row in rows if row["metric"] == "motion_preservation") > 0.5
     hand = halves.hand
+    assert len(outputs) == 2
     for frames, p_BF in outputs:
         np.testing.assert_allclose(p_BF, hand.fingertips(AnyTeleop(hand.kinematics())(frames)), atol=1e-12)
 

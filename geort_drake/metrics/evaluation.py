@@ -97,7 +97,7 @@ def evaluate(
         retarget.reset()
     space = robot_space(hand, seed, ROBOT_SAMPLES) if with_coverage else None
     complete = complete_hands(retarget, hand, recording)
-    return evaluate_frames(complete, hand, frames, recording.rate_hz, seed, space, stationary_map, distal)[0]
+    return evaluate_frames(complete, hand, frames, recording.rate_hz, seed, space, stationary_map, distal)
 
 
 def adapt(retarget: Callable, recording: Recording) -> Callable:
@@ -127,16 +127,13 @@ def evaluate_frames(
     space: Sequence[np.ndarray] | None = None,
     stationary_map: Callable | None = None,
     distal: np.ndarray | None = None,
-) -> tuple[dict, np.ndarray]:
+) -> dict:
     """Computes the metrics of `evaluate` from successive fingertips `frames` (T, F, 3), m, at `rate_hz`.
 
     A retargeter with memory gets `frames` in order, as a batch. Metrics of hands that were not recorded
     (random motion, cross-talk, flatness, gain and the context average) use `stationary_map`, a map without
     memory, if given. Without `space` the coverages are None, and without the directions `distal` (T, F, 3)
     of the person's distal phalanges in H the posture is.
-
-    Returns:
-        The metrics, and the robot's fingertips (T, F, 3) in B, m, mirrored for a left hand.
 
     Raises:
         RecordingError: there are too few frames.
@@ -179,7 +176,7 @@ def evaluate_frames(
         figures["coverage_context_averaged"] = coverage(space, average_over_context(g, frames))
     median, p99 = np.percentile(call_times(retarget, frames), (50, 99))
     figures["latency_us"] = {"median": 1e6 * float(median), "p99": 1e6 * float(p99)}
-    return figures, p_BF
+    return figures
 
 
 def fingertips_of(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
