@@ -1,6 +1,7 @@
 """A small robot hand and a person whose fingertips are known to map onto it, shared by the tests."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,12 @@ from geort_drake.retargeting.kinematics import fingertips
 LINK = 0.04  # m
 
 
+def _chain(name, joints, indices, X_PJ, axes) -> FingerChain:
+    """A finger without followers."""
+    p_tip = np.array([0.0, 0.0, LINK])
+    return FingerChain(name, joints, indices, X_PJ, axes, p_tip, joints, np.eye(len(joints)))
+
+
 def toy_kinematics(finger_names=("thumb", "index", "middle")) -> HandKinematics:
     """Fingers side by side along y, each abducting about x and flexing twice about y; they reach along z."""
     fingers = []
@@ -24,11 +31,11 @@ def toy_kinematics(finger_names=("thumb", "index", "middle")) -> HandKinematics:
         axes = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 1.0, 0]])
         joints = tuple(f"{name}_{k}" for k in range(3))
         indices = tuple(range(3 * number, 3 * number + 3))
-        fingers.append(FingerChain(name, joints, indices, X, axes, np.array([0, 0, LINK])))
+        fingers.append(_chain(name, joints, indices, X, axes))
     names = tuple(joint for finger in fingers for joint in finger.joint_names)
     lower = np.tile([-0.6, -0.2, 0.1], len(fingers))
     upper = np.tile([0.6, 1.2, 1.4], len(fingers))
-    return HandKinematics(tuple(fingers), names, lower, upper, tip_radius=0.008)
+    return HandKinematics(tuple(fingers), names, lower, upper, tip_radius=0.008, p_BW=np.zeros(3))
 
 
 def uneven_kinematics() -> HandKinematics:
@@ -41,9 +48,11 @@ def uneven_kinematics() -> HandKinematics:
         k = counts[f.name]
         joints = f.joint_names[:k]
         indices = tuple(used.index(joint) for joint in joints)
-        fingers.append(FingerChain(f.name, joints, indices, f.X_PJ[:k], f.axes[:k], f.p_tip))
+        fingers.append(_chain(f.name, joints, indices, f.X_PJ[:k], f.axes[:k]))
     rows = [toy.joint_names.index(name) for name in used]
-    return HandKinematics(tuple(fingers), tuple(used), toy.lower[rows], toy.upper[rows], toy.tip_radius)
+    return replace(
+        toy, fingers=tuple(fingers), joint_names=tuple(used), lower=toy.lower[rows], upper=toy.upper[rows]
+    )
 
 
 def toy_collides(q: np.ndarray) -> np.ndarray:

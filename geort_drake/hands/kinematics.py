@@ -18,8 +18,8 @@ class FingerChain:
             first), at zero angle of the joint, or of the one that it follows.
         axes: (m, 3) unit rotation axes in J.
         p_tip: (3,) fingertip point in the last joint's moving frame, m.
-        all_joint_names: names of all m joints, base to tip; by default `joint_names`.
-        coupling: (m, k) rotation of each joint per rotation of the k joints; by default the identity.
+        all_joint_names: names of all m joints, base to tip.
+        coupling: (m, k) rotation of each joint per rotation of the k joints.
     """
 
     name: str
@@ -28,15 +28,8 @@ class FingerChain:
     X_PJ: np.ndarray
     axes: np.ndarray
     p_tip: np.ndarray
-    all_joint_names: tuple[str, ...] = ()
-    coupling: np.ndarray = None  # type: ignore[assignment]  # never None afterwards
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "all_joint_names", tuple(self.all_joint_names or self.joint_names))
-        if self.coupling is None:
-            object.__setattr__(self, "coupling", np.eye(len(self.all_joint_names), len(self.joint_names)))
-        for name in ("X_PJ", "axes", "p_tip", "coupling"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+    all_joint_names: tuple[str, ...]
+    coupling: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -56,36 +49,13 @@ class HandKinematics:
     lower: np.ndarray
     upper: np.ndarray
     tip_radius: float
-    p_BW: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    p_BW: np.ndarray
     # What a forward pass has computed from the constants, by its data type and device.
     constants: dict = field(default_factory=dict, init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "fingers", tuple(self.fingers))
-        object.__setattr__(self, "joint_names", tuple(self.joint_names))
-        for name in ("lower", "upper", "p_BW"):
-            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
 
     @property
     def finger_names(self) -> tuple[str, ...]:
         return tuple(finger.name for finger in self.fingers)
-
-    def joint_poses(self, q: np.ndarray) -> np.ndarray:
-        """Returns (N, n, 4, 4) poses X_BJ, m, of the joints' moving frames at joint angles q (N, n), rad.
-
-        Of a hand without couplings, see `uncoupled`.
-        """
-        from scipy.spatial.transform import Rotation  # online retargeting works without SciPy
-
-        X_BJ = np.empty((*q.shape, 4, 4))
-        for finger in self.fingers:
-            X = np.eye(4)
-            for joint, X_PJ, axis in zip(finger.joint_indices, finger.X_PJ, finger.axes, strict=True):
-                turn = np.tile(np.eye(4), (len(q), 1, 1))
-                turn[:, :3, :3] = Rotation.from_rotvec(q[:, joint, None] * axis).as_matrix()
-                X = X @ X_PJ @ turn
-                X_BJ[:, joint] = X
-        return X_BJ
 
     def mirrored(self) -> "HandKinematics":
         """Returns the mirror image in the xz-plane, whose fingertips are at (x, −y, z) for the same q.

@@ -2,16 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from pydrake.geometry import Capsule, Role, Sphere
 from pydrake.multibody.tree import RigidBody
 from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 
 from geort_drake.hands.geometry import Part, parts_of
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.importers.structure import Chain, HandStructure
-from geort_drake.hands.kinematics import FingerChain, HandKinematics
+from geort_drake.hands.kinematics import FingerChain
 
 # The cross-section of this last fraction of a finger's last link gives the radius, within bounds, m.
 _END_FRACTION = 0.25
@@ -110,19 +112,19 @@ def finger_shapes(hand: Hand, start: np.ndarray) -> list[FingerShape]:
     From `start` (n,), rad, the joints beyond a finger's first bending joint turn until the tip is as far from
     that joint as it can be. A spread joint before it thus has no influence, wherever it lies.
     """
-    kinematics, coupling = hand.kinematics().uncoupled()
-    return [_shape(hand, kinematics, coupling, chain, start) for chain in kinematics.fingers]
+    return [_shape(hand, chain, start) for chain in hand.kinematics().fingers]
 
 
-def _shape(
-    hand: Hand, kinematics: HandKinematics, coupling: np.ndarray, chain: FingerChain, start: np.ndarray
-) -> FingerShape:
-    """Returns the shape of one finger, of a hand with the kinematics and coupling that `uncoupled` gives."""
-    joints = list(chain.joint_indices)
+def _shape(hand: Hand, chain: FingerChain, start: np.ndarray) -> FingerShape:
+    """Returns the shape of one finger."""
+    columns = np.array(chain.joint_indices)
 
     def poses(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the poses (m, 4, 4) of the finger's joints and its tip (3,) at q (n,)."""
-        X_BJ = kinematics.joint_poses(q[None] @ coupling.T)[0, joints]
+        """Returns the poses (m, 4, 4) of the finger's m joints and its tip (3,) at q (n,)."""
+        turns = np.tile(np.eye(4), (len(chain.axes), 1, 1))
+        angles = chain.coupling @ q[columns]
+        turns[:, :3, :3] = Rotation.from_rotvec(angles[:, None] * chain.axes).as_matrix()
+        X_BJ = np.array(list(accumulate(chain.X_PJ @ turns, np.matmul)))
         return X_BJ, X_BJ[-1, :3, :3] @ chain.p_tip + X_BJ[-1, :3, 3]
 
     def closeness(angles: np.ndarray) -> float:
@@ -133,7 +135,7 @@ def _shape(
     X_BJ, _ = poses(start)
     axes = (X_BJ[:, :3, :3] @ chain.axes[:, :, None])[..., 0]
     knuckle, *beyond = np.flatnonzero(np.abs(axes @ axes[-1]) > _PARALLEL)
-    movers = np.flatnonzero(coupling[[joints[joint] for joint in beyond]].any(axis=0))
+    movers = columns[chain.coupling[beyond].any(axis=0)]
     q = start.copy()
     if movers.size:
         limits = np.column_stack([hand.lower[movers], hand.upper[movers]])
