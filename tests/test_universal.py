@@ -19,7 +19,7 @@ from geort_drake.errors import (
     RecordingError,
     TrainingError,
 )
-from geort_drake.hands.collision import canonical_shapes
+from geort_drake.hands.collision import collision_shapes
 from geort_drake.hands.hand import Hand
 from geort_drake.metrics.evaluation import distal_links, fingertips_of
 from geort_drake.people.keypoints import mirrored
@@ -230,7 +230,7 @@ def test_an_interrupted_training_resumes_to_the_same_weights(tmp_path, monkeypat
     monkeypatch.setattr(f"{module}.SAVE_EVERY_S", 0.0)
     people = np.stack([play(0), play(1)]).astype(np.float32)
     hand, _ = shipped("allegro_right")
-    parts, state = (kinematics_of(hand), canonical_shapes(hand)), tmp_path / "state"
+    parts, state = (kinematics_of(hand), collision_shapes(hand)), tmp_path / "state"
     settings = dataclasses.replace(QUICK, steps=24, people=2)
     whole = train_universal(*parts, settings, people)
     with pytest.raises(_Interrupted):
@@ -256,7 +256,7 @@ def test_a_short_training_serves_people_it_has_not_seen(training_seed, reaches):
     hand, _ = shipped("allegro_right")
     settings = dataclasses.replace(QUICK, steps=300)
     people = sample_population(settings.people, training_seed, settings.play_s)
-    shapes = canonical_shapes(hand)
+    shapes = collision_shapes(hand)
     retarget = train_universal(kinematics_of(hand), shapes, settings, people, training_seed)
     for person in range(3):
         own = retarget.for_person(play(person)[:30])

@@ -148,12 +148,12 @@ class Train(Command):
         """
         from geort_drake import load_retargeter
         from geort_drake.console import progress_bar
-        from geort_drake.hands.collision import canonical_shapes
+        from geort_drake.hands.collision import collision_shapes
         from geort_drake.retargeting.base import kinematics_of
         from geort_drake.retargeting.universal.train import train_universal
 
         output = self.output
-        kinematics, shapes = kinematics_of(hand), canonical_shapes(hand)
+        kinematics, shapes = kinematics_of(hand), collision_shapes(hand)
 
         def train(
             settings: "UniversalSettings", start: Any, stage: str, state: Path

@@ -247,6 +247,8 @@ _CYLINDER_SIDES = 12
 def collision_shapes(hand: Hand) -> CollisionShapes:
     """Returns the convex shapes of a hand, and the pairs of them that must not touch.
 
+    A left hand's are mirrored, to be those of a hand with the kinematics `HandKinematics.mirrored()`.
+
     Boxes, spheres and capsules stay the same. A cylinder becomes a prism of equal cross-sectional area. Of a
     mesh's convex hull, those vertices are kept that lie outermost in the `lattice_directions` of its oriented
     bounding box. Pairs that Drake filters and pairs of fingertips are left out.
@@ -284,23 +286,15 @@ def collision_shapes(hand: Hand) -> CollisionShapes:
         if joint[i] != joint[j] and not inspector.CollisionFiltered(a, b) and not hand.are_tips(a, b)
     ]
     most = max(map(len, vertices), default=1)
+    y = -1.0 if hand.description.side == "left" else 1.0
+    M = np.diag([1.0, y, 1.0, 1.0])
     return CollisionShapes(
         np.array(joint, dtype=int),
-        np.array(X_JS).reshape(-1, 4, 4),
-        np.array([np.resize(points, (most, 3)) for points in vertices]).reshape(-1, most, 3),
+        M @ np.array(X_JS).reshape(-1, 4, 4) @ M,
+        np.array([np.resize(points, (most, 3)) for points in vertices]).reshape(-1, most, 3) * [1.0, y, 1.0],
         np.array(radius),
         np.array(pairs, dtype=int).reshape(-1, 2),
     )
-
-
-def canonical_shapes(hand: Hand) -> CollisionShapes:
-    """Returns the hand's collision shapes; a left hand's are mirrored as by `kinematics_of`.
-
-    Raises:
-        HandError: as `collision_shapes`.
-    """
-    shapes = collision_shapes(hand)
-    return shapes.mirrored() if hand.description.side == "left" else shapes
 
 
 def _hull(shape: Shape, name: str) -> tuple[np.ndarray, np.ndarray, float]:

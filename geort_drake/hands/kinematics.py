@@ -125,11 +125,6 @@ class CollisionShapes:
     radius: np.ndarray
     pairs: np.ndarray
 
-    def mirrored(self) -> "CollisionShapes":
-        """Returns the shapes of the hand with the kinematics `HandKinematics.mirrored()`."""
-        M = np.diag([1.0, -1.0, 1.0, 1.0])
-        return replace(self, X_JS=M @ self.X_JS @ M, vertices=self.vertices * [1.0, -1.0, 1.0])
-
 
 def lattice_directions() -> np.ndarray:
     """Returns the 98 unit vectors (98, 3) through the points of a 5 × 5 grid on the faces of a cube.
