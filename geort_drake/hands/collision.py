@@ -33,11 +33,13 @@ from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
 from geort_drake.hands.assembly import joint_paths
+from geort_drake.hands.geometry import hull_vertices
 from geort_drake.hands.hand import Hand
 from geort_drake.hands.kinematics import CollisionShapes, lattice_directions
 
 # Pairs whose distance depends on at most _GRID_JOINTS joints are checked at _GRID_SIZE angles of each.
 _GRID_JOINTS, _GRID_SIZE = 2, 13
+_CUBE = np.array(list(product((-1.0, 1.0), repeat=3)))  # corners (8, 3)
 _NEXT_AXIS, _PREVIOUS_AXIS = np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
@@ -233,10 +235,7 @@ def _enlarge(shape: Shape, name: str, margin: float) -> Shape:
 
 def _enlarge_hull(shape: Convex | Mesh, margin: float) -> Convex:
     """Returns the Minkowski sum of a mesh's convex hull and a cube with half edge `margin`, m."""
-    hull = shape.GetConvexHull()
-    vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-    corners = margin * np.array(list(product((-1.0, 1.0), repeat=3)))
-    points = (vertices[:, None] + corners).reshape(-1, 3)
+    points = (hull_vertices(shape)[:, None] + margin * _CUBE).reshape(-1, 3)
     text = "".join(f"v {x:.9f} {y:.9f} {z:.9f}\n" for x, y, z in points)
     return Convex(InMemoryMesh(mesh_file=MemoryFile(text, ".obj", "enlarged hull")))
 
@@ -299,9 +298,9 @@ def collision_shapes(hand: Hand) -> CollisionShapes:
 
 def _hull(shape: Shape, name: str) -> tuple[np.ndarray, np.ndarray, float]:
     """Returns pose in the shape's frame, vertices, m, and radius, m, of a shape as in `CollisionShapes`."""
-    X_GS, corners = np.eye(4), np.array(list(product((-1.0, 1.0), repeat=3)))
+    X_GS = np.eye(4)
     if isinstance(shape, Box):
-        return X_GS, 0.5 * shape.size() * corners, 0.0
+        return X_GS, 0.5 * shape.size() * _CUBE, 0.0
     if isinstance(shape, Sphere):
         return X_GS, np.zeros((1, 3)), shape.radius()
     if isinstance(shape, Capsule):
@@ -315,9 +314,7 @@ def _hull(shape: Shape, name: str) -> tuple[np.ndarray, np.ndarray, float]:
         return X_GS, np.hstack([np.tile(side, (2, 1)), ends]), 0.0
     if isinstance(shape, Convex | Mesh):
         X_GS = CalcObb(shape).pose().GetAsMatrix4()
-        hull = shape.GetConvexHull()
-        points = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
-        points = (points - X_GS[:3, 3]) @ X_GS[:3, :3]
+        points = (hull_vertices(shape) - X_GS[:3, 3]) @ X_GS[:3, :3]
         return X_GS, points[np.unique(np.argmax(points @ lattice_directions().T, axis=0))], 0.0
     raise unsupported_shape(shape, name)
 

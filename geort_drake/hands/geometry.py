@@ -52,8 +52,7 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
     shape = inspector.GetShape(geometry)
     try:
         if isinstance(shape, Mesh | Convex):
-            hull = shape.GetConvexHull()
-            return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+            return hull_vertices(shape)
         box = CalcObb(shape)
     except RuntimeError:
         return None
@@ -61,3 +60,9 @@ def surface_points(inspector: SceneGraphInspector, geometry: GeometryId) -> np.n
         return None
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1)
     return (box.pose() @ (box.half_width()[:, None] * signs)).T
+
+
+def hull_vertices(shape: Convex | Mesh) -> np.ndarray:
+    """Returns the vertices (N, 3) of a mesh's convex hull, m; raises RuntimeError without a readable mesh."""
+    hull = shape.GetConvexHull()
+    return np.array([hull.vertex(i) for i in range(hull.num_vertices())])

@@ -26,6 +26,7 @@ from pydrake.systems.primitives import MatrixGain
 from geort_drake.errors import HandError, ScenarioError, naming
 from geort_drake.hands.assembly import HandInPlant, add_hand_model, add_models, joint_paths
 from geort_drake.hands.description import HandDescription
+from geort_drake.hands.geometry import hull_vertices
 from geort_drake.resources import PACKAGE_NAME, resource_root
 from geort_drake.simulation.object_shape import ObjectShape
 from geort_drake.simulation.scenario import Scenario, object_file
@@ -228,8 +229,7 @@ def _soften_fingertips(
 
 def _on_lattice(shape: Convex | Mesh, name: str) -> Convex:
     """Returns the convex hull of a shape's vertices, rounded to a lattice finer than its thickness."""
-    hull = shape.GetConvexHull()
-    vertices = np.array([hull.vertex(v) for v in range(hull.num_vertices())])
+    vertices = hull_vertices(shape)
     axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
     spacing = min(_LATTICE, np.ptp(vertices @ axes.T, axis=0).min() / 4)
     return Convex(spacing * np.unique(np.round(vertices / spacing), axis=0).T, name)
