@@ -142,9 +142,9 @@ class Hand(HandInPlant):
 
         A contact has a depth, m, the links' names in alphabetical order, and whether both are fingertips.
         """
-        (row,) = self._rows(np.asarray(q)[None])
+        (row,) = self._check(np.asarray(q)[None])
         contacts = []
-        for pair in self._query(row, self._contact_context).ComputePointPairPenetration():
+        for pair in self.query(row, self._contact_context).ComputePointPairPenetration():
             link_a, link_b = sorted((self.link_of(pair.id_A), self.link_of(pair.id_B)))
             contacts.append((pair.depth, link_a, link_b, self.are_tips(pair.id_A, pair.id_B)))
         return sorted(contacts, key=lambda contact: (-contact[0], *contact[1:3]))
@@ -199,11 +199,8 @@ class Hand(HandInPlant):
             raise ValueError("q contains values that are not finite")
         return rows
 
-    def _rows(self, q: np.ndarray) -> np.ndarray:
-        """Returns positions (N, n + K), rad: those of q (N, n) or (n,), then those of the followers."""
-        return self.couplings.with_followers(self._check(q))
-
     def _query(self, row: np.ndarray, root_context: Context) -> QueryObject:
+        """Does the same as `query` for q and the followers' positions (n + K,), rad."""
         context = self.plant.GetMyMutableContextFromRoot(root_context)
         positions = self._default.copy()
         positions[self._order] = row
@@ -211,10 +208,8 @@ class Hand(HandInPlant):
         return self.plant.get_geometry_query_input_port().Eval(context)
 
     def _has_collisions(self, q: np.ndarray, root_context: Context) -> np.ndarray:
-        rows = self._rows(q)
-        hits = np.empty(len(rows), dtype=bool)
-        for i, row in enumerate(rows):
-            hits[i] = self._query(row, root_context).HasCollisions()
+        rows = self.couplings.with_followers(self._check(q))
+        hits = np.array([self._query(row, root_context).HasCollisions() for row in rows], dtype=bool)
         return hits if np.ndim(q) == 2 else hits[0]
 
 
