@@ -147,9 +147,9 @@ def evaluate_frames(
     fingertips = fingertips_of(hand)
 
     def g(p_HF: np.ndarray) -> np.ndarray:
-        return fingertips(_in_chunks(stationary_map or retarget, p_HF))
+        return fingertips(_angles(stationary_map or retarget, p_HF))
 
-    q = _in_chunks(retarget, frames)
+    q = _angles(retarget, frames)
     p_BF = fingertips(q)
     flat, gains = flatness_and_gain(g, frames, rng)
     collisions = self_collision(hand, q)
@@ -181,7 +181,7 @@ def evaluate_frames(
 
 def fingertips_of(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
     """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m, mirrored for a left hand."""
-    return _in_blocks(NumpyKinematics(kinematics_of(hand)))
+    return functools.partial(_in_chunks, NumpyKinematics(kinematics_of(hand)).fingertips)
 
 
 def distal_links(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
@@ -190,15 +190,8 @@ def distal_links(hand: Hand) -> Callable[[np.ndarray], np.ndarray]:
     They lead from the origin of each finger's last joint to the fingertip.
     """
     kinematics = kinematics_of(hand)
-    tip, origin = (_in_blocks(NumpyKinematics(each)) for each in (kinematics, kinematics.to_last_joints()))
-    return lambda q: tip(q) - origin(q)
-
-
-def _in_blocks(kinematics: NumpyKinematics) -> Callable[[np.ndarray], np.ndarray]:
-    """Returns a function of joint angles (N, n), rad: fingertips (N, F, 3), m."""
-    return lambda q: np.concatenate(
-        [kinematics.fingertips(q[i : i + _CHUNK]) for i in range(0, len(q), _CHUNK)]
-    )
+    tip, origin = NumpyKinematics(kinematics), NumpyKinematics(kinematics.to_last_joints())
+    return lambda q: _in_chunks(tip.fingertips, q) - _in_chunks(origin.fingertips, q)
 
 
 def distal_phalanges(recording: Recording, keypoints: Sequence[int]) -> np.ndarray:
@@ -249,7 +242,7 @@ def jitter(
     """
     noise = rng.normal(scale=NOISE, size=frames.shape)
     forget(retarget)
-    moved_by = fingertips(_in_chunks(retarget, frames + noise)) - p_BF
+    moved_by = fingertips(_angles(retarget, frames + noise)) - p_BF
     output, source = (np.sqrt((x**2).sum(axis=-1).mean(axis=0)) for x in (moved_by, noise))
     return float((output / source).mean())
 
@@ -287,17 +280,23 @@ def call_times(retarget: Callable, frames: np.ndarray, calls: int = 2000) -> np.
     return times
 
 
-def _in_chunks(retarget: Callable, p_HF: np.ndarray) -> np.ndarray:
-    """Evaluates retarget(p_HF), (N, n), in chunks."""
-    chunks = [p_HF[i : i + _CHUNK] for i in range(0, len(p_HF), _CHUNK)]
-    q = [retarget(chunk) for chunk in chunks]
-    for points, angles in zip(chunks, q, strict=True):
+def _angles(retarget: Callable, p_HF: np.ndarray) -> np.ndarray:
+    """Evaluates retarget(p_HF), (N, n), in chunks; raises ValueError for another shape or NaN."""
+
+    def checked(points: np.ndarray) -> np.ndarray:
+        angles = retarget(points)
         if np.ndim(angles) != 2 or len(angles) != len(points):
             raise ValueError(
                 f"a retargeter must return (N, n) for (N, F, 3); it returned {np.shape(angles)} for "
                 f"{points.shape}"
             )
-    q_all = np.concatenate(q)
-    if lost := np.count_nonzero(~np.isfinite(q_all).all(axis=1)):
-        raise ValueError(f"a retargeter must return finite angles; {lost} of {len(q_all)} rows are not")
-    return q_all
+        return angles
+
+    q = _in_chunks(checked, p_HF)
+    if lost := np.count_nonzero(~np.isfinite(q).all(axis=1)):
+        raise ValueError(f"a retargeter must return finite angles; {lost} of {len(q)} rows are not")
+    return q
+
+
+def _in_chunks(f: Callable[[np.ndarray], np.ndarray], rows: np.ndarray) -> np.ndarray:
+    return np.concatenate([f(rows[i : i + _CHUNK]) for i in range(0, len(rows), _CHUNK)])
