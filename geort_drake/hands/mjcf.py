@@ -162,7 +162,7 @@ class _Builder:
     def _add_link(self, body: int) -> None:
         """Adds a body with its joints; all but the last joint of a body move links without mass."""
         m = self._m
-        name, parent = self._name("body", body), int(m.body_parentid[body])
+        name, parent = name_of(m, "body", body), int(m.body_parentid[body])
         self._links[body] = link = self._add_body(name, body)
         if parent not in self._links:
             return  # on the world
@@ -176,13 +176,13 @@ class _Builder:
         for joint in joints:
             child = link
             if joint != joints[-1]:
-                child = self._add_body(f"{name}_{self._name('joint', joint)}", None)
+                child = self._add_body(f"{name}_{name_of(m, 'joint', joint)}", None)
             self._add_joint(joint, parent_frame, X, child)
             parent_frame, X = child.body_frame(), RigidTransform()
 
     def _add_joint(self, joint: int, parent_frame: Frame, X: RigidTransform, link: RigidBody) -> None:
         """Adds a joint; X is the link's pose in the frame above at the joint's reference position."""
-        m, plant, name = self._m, self._plant, self._name("joint", joint)
+        m, plant, name = self._m, self._plant, name_of(self._m, "joint", joint)
         axis, kind, start = m.jnt_axis[joint], m.jnt_type[joint], m.qpos0[m.jnt_qposadr[joint]]
         X_LM = RigidTransform(m.jnt_pos[joint])
         zero = RigidTransform()
@@ -208,7 +208,7 @@ class _Builder:
         shape = self._shape(geom)
         if shape is None:
             return
-        name = self._name("geom", geom)
+        name = name_of(m, "geom", geom)
         X = RigidTransform(Quaternion(m.geom_quat[geom]), m.geom_pos[geom])
         if m.geom_group[geom] <= _LAST_VISIBLE_GROUP:
             self._plant.RegisterVisualGeometry(link, X, shape, f"{name}_visual", m.geom_rgba[geom])
@@ -282,7 +282,7 @@ class _Builder:
             joint = int(m.actuator_trnid[motor][0])
             if m.actuator_trntype[motor] not in (_TRN_JOINT, _TRN_JOINT_IN_PARENT) or joint in actuated:
                 continue
-            name = self._name("joint", joint)
+            name = name_of(m, "joint", joint)
             if m.jnt_type[joint] not in (_HINGE, _SLIDE) or not self._plant.HasJointNamed(
                 name, self._instance
             ):
@@ -300,15 +300,12 @@ class _Builder:
             if not limit > 0:
                 continue
             actuator = self._plant.AddJointActuator(
-                self._name("actuator", motor), self._plant.GetJointByName(name, self._instance), limit
+                name_of(m, "actuator", motor), self._plant.GetJointByName(name, self._instance), limit
             )
             # MuJoCo's armature belongs to the joint.
             actuator.set_default_rotor_inertia(m.dof_armature[m.jnt_dofadr[joint]])
             if servo:
                 actuator.set_controller_gains(PdControllerGains(p=gear**2 * gain[0], d=-(gear**2) * bias[2]))
-
-    def _name(self, kind: str, number: int) -> str:
-        return name_of(self._m, kind, number)
 
 
 def name_of(m: mujoco.MjModel, kind: str, number: int) -> str:

@@ -24,9 +24,10 @@ def unreadable_meshes(model: Path) -> list[Path]:
     Raises:
         HandError: the model is missing or not XML.
     """
-    if read_model(model).tag == "mujoco":
+    tree = read_model(model)
+    if tree.tag == "mujoco":
         return []  # MuJoCo reads them
-    meshes = dict.fromkeys(mesh for _, mesh in mesh_elements(model, read_model(model)))
+    meshes = dict.fromkeys(mesh for _, mesh in mesh_elements(model, tree))
     return [mesh for mesh in meshes if mesh.suffix.lower() not in _READABLE]
 
 
@@ -46,16 +47,16 @@ def convert_model(model: Path, folder: Path) -> Path:
         raise OutputError(f"{folder} exists and is no earlier copy of {model.name}; choose another --output")
     tree = read_model(model)
     with atomic_directory(folder) as draft:
-        hulls = {mesh: _hull_of_mesh(mesh) for mesh in unreadable_meshes(model)}
-        names: dict[Path, Path] = {}
-        for mesh, hull in hulls.items():
+        hulls: dict[Path, Path] = {}
+        for mesh in unreadable_meshes(model):
             stem = re.sub(r"\W+", "_", mesh.stem)
-            names[mesh] = folder.resolve() / f"{len(names)}_{stem}.obj"
+            hulls[mesh] = folder.resolve() / f"{len(hulls)}_{stem}.obj"
+            hull = _hull_of_mesh(mesh)
             text = export_obj(
                 hull, include_normals=True, include_color=False, include_texture=False, digits=9, header=None
             )
-            write_text(draft / names[mesh].name, text)
-        write_text(draft / model.name, _text_of(tree, model, folder, names))
+            write_text(draft / hulls[mesh].name, text)
+        write_text(draft / model.name, _text_of(tree, model, folder, hulls))
     return folder / model.name
 
 

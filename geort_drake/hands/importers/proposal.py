@@ -192,9 +192,8 @@ def _free_posture(hand: Hand) -> np.ndarray | None:
 
 def _depth(hand: Hand) -> float:
     """Returns how far the collision geometry extends behind the hand base in the default posture, m."""
-    links = map(hand.plant.get_body, hand.plant.GetBodyIndices(hand.instance))
     base = hand.plant.GetFrameByName(hand.description.base_frame, hand.instance)
-    parts = parts_of(hand.plant, hand.scene_graph, links, Role.kProximity, base)
+    parts = parts_of(hand.plant, hand.scene_graph, hand.links, Role.kProximity, base)
     return max([0.0, *(-float(part.points[:, 2].min()) for part in parts)])
 
 

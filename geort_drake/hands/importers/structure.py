@@ -62,8 +62,6 @@ class HandStructure:
     """
 
     def __init__(self, path: Path, palm: str | None = None):
-        if not path.is_file():
-            raise HandError(f"the model file {path} is missing")
         self.path = path
         self.plant, self.scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), time_step=0.001)
         self.hand = parse_model(self.plant, path)
