@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from geort_drake.hands.hand import Hand
 from geort_drake.people.recording import PINCH_M
+from geort_drake.retargeting.base import thumb_and_others
 from geort_drake.retargeting.clouds import first_in_voxels, voxel_thinned
 
 FingertipMap = Callable[[np.ndarray], np.ndarray]
@@ -109,10 +110,9 @@ def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def nearest_pairs(tips: np.ndarray, finger_names: Sequence[str]) -> np.ndarray:
     """Returns the numbers (T, 2) of the thumb and the finger nearest to it, of fingertips (T, F, 3)."""
-    thumb = list(finger_names).index("thumb")
-    others = np.array([i for i in range(len(finger_names)) if i != thumb])
+    thumb, others = thumb_and_others(finger_names)
     nearest = np.linalg.norm(tips[:, others] - tips[:, [thumb]], axis=-1).argmin(axis=1)
-    return np.stack([np.full(len(tips), thumb), others[nearest]], axis=1)
+    return np.stack([np.full(len(tips), thumb), np.array(others)[nearest]], axis=1)
 
 
 def of_pairs(tips: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -189,8 +189,7 @@ def pinch(
     """
     if "thumb" not in finger_names or len(finger_names) == 1:
         return None
-    thumb = list(finger_names).index("thumb")
-    others = [i for i in range(len(finger_names)) if i != thumb]
+    thumb, others = thumb_and_others(finger_names)
     human = np.linalg.norm(frames[:, others] - frames[:, [thumb]], axis=-1)
     robot = np.linalg.norm(p_BF[:, others] - p_BF[:, [thumb]], axis=-1)
     is_apart = human > APART_DISTANCE
