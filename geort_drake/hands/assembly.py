@@ -140,6 +140,10 @@ class HandInPlant:
         moving = {body.index() for links in self.finger_links() for body in links}
         return [link for link in self.links if link.index() not in moving]
 
+    def collision_geometries(self) -> list[GeometryId]:
+        """Returns the collision geometries of all links."""
+        return [id for link in self.links for id in self.plant.GetCollisionGeometriesForBody(link)]
+
     def tip_geometries(
         self, inspector: SceneGraphInspector, fingers: Iterable[FingerDescription] | None = None
     ) -> list[GeometryId]:
@@ -295,8 +299,8 @@ def add_hand_model(
         _assemble(hand_in_plant, set(plant.GetConstraintIds()) - constraints)
     # The hand must not collide with a floor in its own model file.
     if floor := set(_world_geometries(plant)) - surroundings:
-        shapes = [id for link in hand_in_plant.links for id in plant.GetCollisionGeometriesForBody(link)]
-        filters = CollisionFilterDeclaration().ExcludeBetween(GeometrySet(list(floor)), GeometrySet(shapes))
+        sets = GeometrySet(list(floor)), GeometrySet(hand_in_plant.collision_geometries())
+        filters = CollisionFilterDeclaration().ExcludeBetween(*sets)
         Parser(plant).scene_graph().collision_filter_manager().Apply(filters)
     return hand
 

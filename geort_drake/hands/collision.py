@@ -24,11 +24,9 @@ from pydrake.geometry import (
     GeometrySet,
     InMemoryMesh,
     Mesh,
-    Role,
     Shape,
     Sphere,
 )
-from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context
 
 from geort_drake.errors import HandError
@@ -126,19 +124,12 @@ class HandClearance:
         """Finds which joints move which geometry, and the joints' axes in their links."""
         names, plant = self._names, self._plant
         paths = joint_paths(plant, self._hand.instance)
-        movers: dict[BodyIndex, np.ndarray] = {}
-        for index in plant.GetBodyIndices(self._hand.instance):
-            path = {joint.name() for joint in paths[index]}
-            movers[index] = np.array([name in path for name in names], dtype=int)
-        geometries = [
-            (geometry, movers[index])
-            for index in movers
-            for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(index))
-        ]
-        self._geometries = [geometry for geometry, _ in geometries]
+        self._geometries = self._hand.collision_geometries()
         # The keys are integers, because hashing an identifier takes longer.
-        self._row = {geometry.get_value(): row for row, (geometry, _) in enumerate(geometries)}
-        self._moves = np.array([moves for _, moves in geometries])
+        self._row = {geometry.get_value(): row for row, geometry in enumerate(self._geometries)}
+        links = map(plant.GetBodyFromFrameId, map(self._inspector.GetFrameId, self._geometries))
+        movers = [{joint.name() for joint in paths[link.index()]} for link in links]
+        self._moves = np.array([[name in path for name in names] for path in movers], dtype=int)
         joints = [plant.GetJointByName(name, self._hand.instance) for name in names]
         frames = [joint.frame_on_child().GetFixedPoseInBodyFrame() for joint in joints]
         self._links = [joint.child_body() for joint in joints]
@@ -259,11 +250,10 @@ def collision_shapes(hand: Hand) -> CollisionShapes:
     context = plant.CreateDefaultContext()
     moving = list(hand.kinematics().uncoupled()[0].joint_names)
     paths = joint_paths(plant, hand.instance)
-    joint, X_JS, vertices, radius, source = [], [], [], [], []
-    for geometry in sorted(inspector.GetAllGeometryIds(Role.kProximity), key=lambda id: id.get_value()):
+    joint, X_JS, vertices, radius = [], [], [], []
+    source = sorted(hand.collision_geometries(), key=lambda id: id.get_value())
+    for geometry in source:
         body = plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
-        if body.index() == plant.world_body().index():
-            continue
         X_WG = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4() @ (
             inspector.GetPoseInFrame(geometry).GetAsMatrix4()
         )
@@ -277,7 +267,6 @@ def collision_shapes(hand: Hand) -> CollisionShapes:
         X_JS.append(np.linalg.inv(X_WJ) @ X_WG @ X_GS)
         vertices.append(points)
         radius.append(r)
-        source.append(geometry)
     pairs = [
         (i, j)
         for i, a in enumerate(source)

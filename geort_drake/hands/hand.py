@@ -61,8 +61,8 @@ class Hand(HandInPlant):
         if has_published_model(description):
             model_sha256 = description.source.sha256
         else:
-            files = model_files(plant, self.scene_graph.model_inspector(), self.instance, path)
-            model_sha256 = digest_of_contents(files)
+            shapes = map(self.scene_graph.model_inspector().GetShape, self.collision_geometries())
+            model_sha256 = digest_of_contents(model_files(path, shapes))
         self.digest = _digest(description, model_sha256)
         with naming(self._what, HandError):
             self._base = self.frame(description.base_frame, "base_frame")

@@ -8,9 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import Convex, Mesh, SceneGraphInspector
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.geometry import Convex, Mesh, Shape
 
 from geort_drake.errors import HandError
 from geort_drake.files import sha256_of
@@ -92,27 +90,20 @@ def _package_name(file: Path) -> str | None:
     return (name or "").strip()
 
 
-def model_files(
-    plant: MultibodyPlant, inspector: SceneGraphInspector, hand: ModelInstanceIndex, model: Path
-) -> list[Path]:
+def model_files(model: Path, shapes: Iterable[Shape]) -> list[Path]:
     """Returns a hand's model file, the files that it includes, and the meshes of its collision geometry.
 
     Of an MJCF model, the meshes of its visual geometry as well.
 
     Args:
-        plant: plant with the hand.
-        inspector: inspector of the plant's scene graph.
-        hand: model instance of the hand.
         model: SDF, URDF or MJCF file of the hand.
+        shapes: shapes of the hand's collision geometry.
     """
     if read_model(model).tag == "mujoco":
         from geort_drake.hands.mjcf import compile_mjcf
 
         meshes = compile_mjcf(model)[1]
     else:
-        bodies = [plant.get_body(index) for index in plant.GetBodyIndices(hand)]
-        geometries = [id for body in bodies for id in plant.GetCollisionGeometriesForBody(body)]
-        shapes = [inspector.GetShape(id) for id in geometries]
         sources = [shape.source() for shape in shapes if isinstance(shape, Convex | Mesh)]
         meshes = [Path(source.path()) for source in sources if source.is_path()]
     return list(dict.fromkeys([model, *included_files(model), *meshes]))
