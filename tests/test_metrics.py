@@ -291,13 +291,12 @@ def test_a_method_of_ones_own_is_evaluated_unless_its_outputs_are_unusable(alleg
 
 def test_all_metrics_of_the_identity_on_a_hand_without_links(frames, monkeypatch):
     """The dictionary has every key, is JSON, repeats with its seed, and is perfect where it should be."""
-    monkeypatch.setattr(evaluation, "ROBOT_SAMPLES", 20_000)
     monkeypatch.setattr(evaluation, "NumpyKinematics", lambda hand: hand)
 
     def identity(p):
         return np.reshape(p, (*p.shape[:-2], 9))
 
-    space = evaluation.robot_space(PointHand(), seed=5)
+    space = evaluation.robot_space(PointHand(), seed=5, samples=200_000)
     result = evaluation.evaluate_frames(identity, PointHand(), frames, 60.0, seed=5, space=space)
     assert json.loads(json.dumps(result, allow_nan=False)).keys() == result.keys()
     # The tables show nothing that is not measured.

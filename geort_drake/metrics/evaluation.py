@@ -47,7 +47,7 @@ _CHUNK = 4096  # rows that are computed at once; all of a long recording's would
 
 
 @functools.lru_cache(maxsize=8)
-def robot_space(hand: Hand, seed: int = 0, samples: int = ROBOT_SAMPLES) -> list[np.ndarray]:
+def robot_space(hand: Hand, seed: int, samples: int) -> list[np.ndarray]:
     """Samples the robot's C-space, the reach of its fingertips, which does not depend on the method.
 
     Returns:
