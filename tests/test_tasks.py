@@ -408,11 +408,11 @@ def test_tasks_are_modules_and_say_what_is_wrong():
     for text, error, message in (
         ("{kind: clumsy}", UnknownNameError, "kind of person"),
         ("{task_settings: {presses: -1}}", ScenarioError, "task_settings.presses"),
-        ("{task_settings: {fingers: 3}}", UnknownNameError, "setting of task keys 'fingers'"),
+        ("{task_settings: {fingers: 3}}", UnknownNameError, r"setting of keys \(task_settings\) 'fingers'"),
     ):
         with pytest.raises(error, match=message):
             load_scenario(task="keys", text=text)
-    with pytest.raises(UnknownNameError, match="setting of task peg"):
+    with pytest.raises(UnknownNameError, match=r"setting of peg \(task_settings\)"):
         load_scenario(task="peg", text="{task_settings: {presses: 3}}")
 
 

@@ -25,9 +25,10 @@ from geort_drake.metrics.evaluation import distal_links, fingertips_of
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic.population import sample_person, sample_population
 from geort_drake.retargeting.base import kinematics_of, thumb_and_others
+from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
-from geort_drake.retargeting.universal.losses import UniversalSettings
+from geort_drake.retargeting.universal.losses import Criteria, UniversalSettings
 from geort_drake.retargeting.universal.network import UniversalNetwork
 from geort_drake.retargeting.universal.person import hand_shape
 from geort_drake.retargeting.universal.train import (
@@ -187,6 +188,18 @@ def test_the_size_is_that_of_the_affine_fit():
     human = np.stack([2.0 / 3.0 * tips, tips / 3.0])
     size = affine_size(human, np.full((2, 2), 0.1), tips, 0.0)
     np.testing.assert_allclose(size, [0.15, 0.15])
+
+
+def test_training_measures_posture_as_evaluation_does():
+    """It asks for no other posture if the person's phalanges point where the robot's do."""
+    hand, _ = shipped("allegro_right")
+    criteria = Criteria(hand.kinematics(), torch.ones(4), QUICK)
+    q = hand.sample(20, 0)
+    tips, last_joints = torch.tensor(hand.fingertips(q)), fingertips(criteria._last_joints, torch.tensor(q))
+    directions = ((tips - last_joints) / criteria._last_lengths).numpy()
+    links = distal_links(hand)(q)
+    expected = links / np.linalg.norm(links, axis=-1, keepdims=True)
+    np.testing.assert_allclose(directions, expected, atol=1e-6)
 
 
 def test_a_persons_distal_directions_have_length_one_and_end_at_the_tips():

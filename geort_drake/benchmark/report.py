@@ -141,8 +141,9 @@ def _markdown(report: Report, links: Sequence[str]) -> str:
         parts += ["Left out, because the hand cannot do it:", "\n".join(lines)]
     for (task, kind, condition), figures in report.tables.items():
         title = f"{task}, {kind} people" + (f", {condition}" if condition else "")
-        rows = [cells(row) for row in figures.to_dict("records")]
-        parts += [f"## {title}", markdown_table(list(rows[0]), [list(row.values()) for row in rows])]
+        parts.append(f"## {title}")
+        if rows := [cells(row) for row in figures.to_dict("records")]:
+            parts.append(markdown_table(list(rows[0]), [list(row.values()) for row in rows]))
         if not condition:
             parts += _details(report, (task, kind, condition))
     parts += ["## Figures", *links] if links else ["There is no trial with a result yet."]

@@ -234,7 +234,7 @@ def stored_benchmark(folder: Path, methods: Sequence[str]) -> "tuple[TrialBenchm
     """Opens a folder's benchmark as its settings state, with some methods, and returns both.
 
     Raises:
-        BenchmarkError: the folder contains no benchmark.
+        BenchmarkError, ScenarioError: the folder contains no benchmark.
     """
     from geort_drake import Hand
     from geort_drake.benchmark.run import Benchmark, read_scenarios, read_settings

@@ -20,6 +20,9 @@ def fingertips(kinematics: HandKinematics, q: torch.Tensor) -> torch.Tensor:
 
     Differentiable once, with the dtype and device of q; angles may exceed the limits.
     """
+    n = len(kinematics.joint_names)
+    if q.shape[-1] != n:
+        raise ValueError(f"q must end with {n} joint angles, it has shape {tuple(q.shape)}")
     key = q.dtype, q.device
     if key not in kinematics.constants:
         R, p_PJ, K, p_tip, indices, coupling = stacked_chains(kinematics)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from geort_drake.errors import HandError, naming
 from geort_drake.retargeting.base import Retargeter, interface_of, kinematics_of, thumb_and_others
 from geort_drake.retargeting.numpy_kinematics import NumpyKinematics
 
@@ -193,7 +194,8 @@ class DexPilot(AnyTeleop):
     huber_delta = 0.03  # m
 
     def _pairs(self) -> list[tuple[int, int]]:
-        thumb, others = thumb_and_others(self.finger_names)
+        with naming("DexPilot", HandError):
+            thumb, others = thumb_and_others(self.finger_names)
         pinches = [(thumb, finger) for finger in others]
         between = [(a, b) for k, a in enumerate(others) for b in others[k + 1 :]]
         # For each finger-finger vector, the two thumb-finger vectors that switch its projection.

@@ -72,7 +72,13 @@ def fit(hand: Any, p_HF: np.ndarray | None = None, **_options: Any) -> Retargete
     Raises:
         MapError: there is none.
     """
-    return load_retargeter(hand.description.name, hand)
+    name = hand.description.name
+    if name not in shipped_maps():
+        raise MapError(
+            f"no universal map is shipped for {name}, only for {', '.join(shipped_maps()) or 'no hand'}; "
+            "geort-drake train makes one"
+        )
+    return load_retargeter(name, hand)
 
 
 def shipped_maps() -> dict[str, Path]:

@@ -127,8 +127,15 @@ def parse_scenario(text: str) -> Scenario:
 
 
 def scenario_fields(text: str) -> dict:
-    """Returns the fields in the output of `dump_scenario` as texts, without tags such as !Rpy."""
-    return yaml.load(text, Loader=yaml.BaseLoader)["Resolved"]
+    """Returns the fields in the output of `dump_scenario` as plain data, without tags such as !Rpy."""
+    return yaml.load(text, Loader=_Untagged)["Resolved"]
+
+
+class _Untagged(yaml.SafeLoader):
+    """Reads tagged mappings as mappings."""
+
+
+_Untagged.add_multi_constructor("!", lambda loader, _, node: loader.construct_mapping(node, deep=True))
 
 
 def dump_scenario(scenario: Scenario) -> str:

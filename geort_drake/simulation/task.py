@@ -299,7 +299,7 @@ class Task:
             UnknownNameError: there is no such setting.
             ValueError: a setting is out of range.
         """
-        check_names(scenario.task_settings, self.settings, f"task {self.name}")
+        check_names(scenario.task_settings, self.settings, f"{self.name} (task_settings)")
         settings = self.settings(**scenario.task_settings)
         require_numbers(settings, "task_settings")
         return settings

@@ -258,7 +258,11 @@ class Training:
         )
         self._posture, self._collided = 1.0, torch.zeros((), device=device)
         # What `save` keeps: states of these parts, and these attributes.
-        self._parts: list[Any] = [self.network, self.average, self._optimiser]
+        self._parts: dict[str, Any] = {
+            "network": self.network,
+            "average": self.average,
+            "optimiser": self._optimiser,
+        }
         self._attributes: list[tuple[Any, str]] = [
             *((self, name) for name in ("step", "seconds", "_posture", "_collided")),
             (self, "_multipliers"),
@@ -327,7 +331,7 @@ class Training:
         state = {
             "key": self._key,
             "generator": self._generator.get_state(),
-            "parts": [part.state_dict() for part in self._parts],
+            "parts": {name: part.state_dict() for name, part in self._parts.items()},
             "attributes": [getattr(owner, name) for owner, name in self._attributes],
         }
         with atomic_path(path) as draft, open(draft, "wb") as file:
@@ -350,8 +354,8 @@ class Training:
                 "same settings"
             )
         self._generator.set_state(state["generator"].cpu())
-        for part, saved in zip(self._parts, state["parts"], strict=True):
-            part.load_state_dict(saved)
+        for name, part in self._parts.items():
+            part.load_state_dict(state["parts"][name])
         for (owner, name), value in zip(self._attributes, state["attributes"], strict=True):
             setattr(owner, name, value)
 
