@@ -25,7 +25,6 @@ from geort_drake.metrics.evaluation import distal_links, fingertips_of
 from geort_drake.people.keypoints import mirrored
 from geort_drake.people.synthetic.population import sample_person, sample_population
 from geort_drake.retargeting.base import kinematics_of, thumb_and_others
-from geort_drake.retargeting.kinematics import fingertips
 from geort_drake.retargeting.store import shipped_maps
 from geort_drake.retargeting.universal import UniversalRetargeter
 from geort_drake.retargeting.universal.losses import Criteria, UniversalSettings
@@ -191,12 +190,11 @@ def test_the_size_is_that_of_the_affine_fit():
 
 
 def test_training_measures_posture_as_evaluation_does():
-    """It asks for no other posture if the person's phalanges point where the robot's do."""
+    """The directions of the robot's distal links are those that `evaluate` compares with the person's."""
     hand, _ = shipped("allegro_right")
     criteria = Criteria(hand.kinematics(), torch.ones(4), QUICK)
     q = hand.sample(20, 0)
-    tips, last_joints = torch.tensor(hand.fingertips(q)), fingertips(criteria._last_joints, torch.tensor(q))
-    directions = ((tips - last_joints) / criteria._last_lengths).numpy()
+    directions = criteria.distal_directions(torch.tensor(q), torch.tensor(hand.fingertips(q))).numpy()
     links = distal_links(hand)(q)
     expected = links / np.linalg.norm(links, axis=-1, keepdims=True)
     np.testing.assert_allclose(directions, expected, atol=1e-6)

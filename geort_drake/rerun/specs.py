@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -190,11 +191,13 @@ class PointsSpec(Spec):
     def read(
         self, value: np.ndarray, body_poses: Sequence[RigidTransform] | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        X_WF = RigidTransform()
-        if self.frame is not None and body_poses is not None:
-            body, X_BF = body_and_pose(self.frame)
-            X_WF = body_poses[body] @ X_BF
+        body, X_BF = self._fixed_in
+        X_WF = X_BF if body_poses is None else body_poses[body] @ X_BF
         return np.array(value), X_WF.GetAsMatrix34()
+
+    @cached_property
+    def _fixed_in(self) -> tuple[int, RigidTransform]:
+        return (0, RigidTransform()) if self.frame is None else body_and_pose(self.frame)
 
     def write(self, writer: Writer, key: str, rows: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         values, X_WF = [value for value, _ in rows], np.reshape([X for _, X in rows], (-1, 3, 4))

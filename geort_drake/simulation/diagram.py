@@ -120,7 +120,7 @@ def make_trial_diagram(
                 builder.Connect(output, mirror.get_input_port())
                 output = mirror.get_output_port()
             builder.Connect(output, operator.GetInputPort(name))
-    if dc.replace(scenario.glove, dropout_time=0.0) != WornGloveConfig(dropout_time=0.0):
+    if scenario.glove != WornGloveConfig():
         # A separate generator, so that placement and the person's noise do not depend on the faults.
         faults = np.random.default_rng([scenario.random_seed, 1])
         glove = builder.AddNamedSystem("worn_glove", WornGlove(scenario.glove, scenario.timeout, faults))

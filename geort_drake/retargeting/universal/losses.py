@@ -228,9 +228,17 @@ class Criteria:
             **self._pinches(hands, pinching),
             "false_pinch": self._false_pinches(seen, seen_tips),
         }
-        last_joints = fingertips(self._last_joints, q[:, : seen.shape[1]])
-        directions = (seen_tips - last_joints) / self._last_lengths
+        directions = self.distal_directions(q[:, : seen.shape[1]], seen_tips)
         return (1.0 - (directions * hands.directions).sum(-1)).mean(), terms
+
+    def distal_directions(self, q: torch.Tensor, tips: torch.Tensor) -> torch.Tensor:
+        """Returns unit vectors (..., F, 3) in B from each finger's last joint to its tip.
+
+        Args:
+            q: joint angles (..., n), rad.
+            tips: the fingertips (..., F, 3) at these angles in B, m.
+        """
+        return (tips - fingertips(self._last_joints, q)) / self._last_lengths
 
     def _track(self, hands: Hands, answer: torch.Tensor) -> torch.Tensor:
         """Returns (G,) the mean of 1 − cosine over the recorded steps of each person."""
